@@ -1,0 +1,217 @@
+"""The reference path tracer: plain, unbiased, slow. Everything else is tested against it.
+
+A path starts at the camera. Free flights are drawn by delta tracking (Woodcock et al. 1965), so the trilinear density is
+sampled without any quadrature; at each collision the sun is connected by ratio tracking (Novak et al. 2014), an unbiased
+estimate of the transmittance; then the path goes on in a direction drawn from the phase function. A path's contribution at
+its k-th collision is
+
+    p(cos_sun; g) T(x_k, sun),     times albedo^k and the sun's intensity in the total.
+
+Nothing is shared with the precomputed tables but the density look-up and the phase function.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from render.camera import Camera
+from render.density_grid import DensityGrid
+from render.errors import ParameterError
+from render.phase_functions import check_asymmetry, evaluate_phase_function, sample_directions
+from render.random_streams import child_generator
+
+LANES = 1 << 17
+"""Paths in flight at once. Part of the result's definition (one random stream per batch of lanes), hence not a parameter."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceImage:
+    """Monte Carlo estimate of every pixel for a sun of unit intensity, with the variance of each estimate.
+
+    Args:
+        orders: mean radiance per scattering order `(order, pixel)` at albedo one; entry 0 is single scattering.
+        orders_variance: variance of those means `(order, pixel)`.
+        radiance: sum over orders of albedo^k times order k `(pixel,)`.
+        radiance_variance: variance of that mean `(pixel,)`, with the correlation of the orders.
+        transmittance: share of paths that cross the volume without a collision `(pixel,)`.
+        transmittance_variance: its variance `(pixel,)`.
+        samples: paths per pixel.
+    """
+
+    orders: Tensor
+    orders_variance: Tensor
+    radiance: Tensor
+    radiance_variance: Tensor
+    transmittance: Tensor
+    transmittance_variance: Tensor
+    samples: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Medium:
+    grid: DensityGrid
+    extinction: float
+    sun: Tensor
+
+    @property
+    def majorant(self) -> float:
+        return self.extinction * self.grid.maximum
+
+
+def trace_reference(
+    grid: DensityGrid,
+    camera: Camera,
+    sun_direction: Tensor,
+    *,
+    extinction: float,
+    asymmetry: float,
+    albedo: float,
+    orders: int,
+    samples: int,
+    seed: int = 0,
+) -> ReferenceImage:
+    """Path trace a cloud lit by the sun.
+
+    Args:
+        grid: the volume.
+        camera: one ray through each pixel centre.
+        sun_direction: unit vector towards the sun `(3,)`.
+        extinction: of density one [1/m], not negative.
+        asymmetry: of the Henyey-Greenstein phase function.
+        albedo: single-scattering albedo in 0..1; enters the total only.
+        orders: largest number of scatterings.
+        samples: paths per pixel, at least two.
+        seed: of the random streams.
+
+    Returns:
+        Means and variances for a sun of unit intensity.
+
+    Raises:
+        ParameterError: for a parameter outside its domain.
+    """
+    check_asymmetry(asymmetry)
+    if not (0.0 <= extinction < float("inf")) or not 0.0 <= albedo <= 1.0 or orders < 1 or samples < 2:
+        raise ParameterError(
+            f"need extinction >= 0, albedo in 0..1, orders >= 1 and samples >= 2, not {extinction}, {albedo}, {orders}, {samples}"
+        )
+    origin, direction = camera.rays()
+    near, far = grid.intersect(origin, direction)
+    seen = torch.nonzero(far > near).flatten() if grid.maximum * extinction > 0.0 else torch.empty(0, dtype=torch.long)
+    sums = _Sums(len(origin), orders)
+    medium = _Medium(grid, extinction, sun_direction.to(torch.float32))
+    paths = len(seen) * samples
+    for batch, first in enumerate(range(0, paths, LANES)):
+        path = torch.arange(first, min(first + LANES, paths))
+        pixel = seen[path // samples]
+        start = origin[pixel] + near[pixel, None] * direction[pixel]
+        generator = child_generator(seed, batch)
+        _trace_batch(medium, pixel, start, direction[pixel], asymmetry, albedo, sums, generator)
+    return sums.finish(samples, seen)
+
+
+class _Sums:
+    """Sums and sums of squares per pixel, in float64."""
+
+    def __init__(self, pixels: int, orders: int) -> None:
+        self.order_sum = torch.zeros(orders, pixels, dtype=torch.float64)
+        self.order_square = torch.zeros_like(self.order_sum)
+        self.total_sum = torch.zeros(pixels, dtype=torch.float64)
+        self.total_square = torch.zeros_like(self.total_sum)
+        self.collided = torch.zeros_like(self.total_sum)
+
+    def add_order(self, order: int, pixel: Tensor, value: Tensor) -> None:
+        self.order_sum[order].index_add_(0, pixel, value)
+        self.order_square[order].index_add_(0, pixel, value * value)
+
+    def add_path(self, pixel: Tensor, total: Tensor) -> None:
+        self.total_sum.index_add_(0, pixel, total)
+        self.total_square.index_add_(0, pixel, total * total)
+
+    def finish(self, samples: int, seen: Tensor) -> ReferenceImage:
+        def moments(total: Tensor, square: Tensor) -> tuple[Tensor, Tensor]:
+            mean = total / samples
+            variance = (square / samples - mean * mean).clamp(min=0.0) / (samples - 1)
+            return mean.float(), variance.float()
+
+        orders, orders_variance = moments(self.order_sum, self.order_square)
+        radiance, radiance_variance = moments(self.total_sum, self.total_square)
+        opacity, opacity_variance = moments(self.collided, self.collided)
+        return ReferenceImage(
+            orders, orders_variance, radiance, radiance_variance, 1.0 - opacity, opacity_variance, samples
+        )
+
+
+def _trace_batch(
+    medium: _Medium,
+    pixel: Tensor,
+    position: Tensor,
+    direction: Tensor,
+    asymmetry: float,
+    albedo: float,
+    sums: _Sums,
+    generator: torch.Generator,
+) -> None:
+    """Trace one batch of paths through all orders and add them to the sums."""
+    total = torch.zeros(len(pixel), dtype=torch.float64)
+    lane = torch.arange(len(pixel))
+    for order in range(len(sums.order_sum)):
+        collided, position = _fly(medium, position, direction, generator)
+        lane, position, direction = lane[collided], position[collided], direction[collided]
+        if order == 0:
+            sums.collided.index_add_(0, pixel[lane], torch.ones(len(lane), dtype=torch.float64))
+        if len(lane) == 0:
+            break
+        cosine = direction @ medium.sun
+        transmittance = _estimate_sun_transmittance(medium, position, generator)
+        value = (evaluate_phase_function(cosine, asymmetry) * transmittance).double()
+        sums.add_order(order, pixel[lane], value)
+        total[lane] += albedo ** (order + 1) * value
+        direction = sample_directions(direction, torch.full_like(cosine, asymmetry), generator)
+    sums.add_path(pixel, total)
+
+
+def _fly(medium: _Medium, position: Tensor, direction: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Free flights by delta tracking: which paths collide `(ray,)`, and where `(ray, 3)`."""
+    _, far = medium.grid.intersect(position, direction)
+    distance = torch.zeros_like(far)
+    collided = torch.zeros(len(far), dtype=torch.bool)
+    active = torch.nonzero(far > 0).flatten()
+    while len(active):
+        random = torch.rand(2, len(active), generator=generator)
+        travelled = distance[active] - torch.log1p(-random[0]) / medium.majorant
+        distance[active] = travelled
+        inside = travelled < far[active]
+        density = _density_along(medium.grid, position[active], direction[active], travelled)
+        hit = inside & (random[1] * medium.grid.maximum < density)
+        collided[active[hit]] = True
+        active = active[inside & ~hit]
+    return collided, position + distance[:, None] * direction
+
+
+def _estimate_sun_transmittance(medium: _Medium, position: Tensor, generator: torch.Generator) -> Tensor:
+    """Unbiased transmittance towards the sun `(ray,)` by ratio tracking, with Russian roulette below one per cent."""
+    direction = medium.sun.expand_as(position)
+    _, far = medium.grid.intersect(position, direction)
+    transmittance = torch.ones_like(far)
+    distance = torch.zeros_like(far)
+    active = torch.nonzero(far > 0).flatten()
+    while len(active):
+        random = torch.rand(2, len(active), generator=generator)
+        travelled = distance[active] - torch.log1p(-random[0]) / medium.majorant
+        distance[active] = travelled
+        inside = travelled < far[active]
+        density = _density_along(medium.grid, position[active], direction[active], travelled)
+        kept = torch.where(inside, transmittance[active] * (1.0 - density / medium.grid.maximum), transmittance[active])
+        spent = inside & (kept < 0.01)
+        survives = random[1] < 0.5
+        kept = torch.where(spent, torch.where(survives, 2.0 * kept, 0.0), kept)
+        transmittance[active] = kept
+        active = active[inside & (kept > 0.0)]
+    return transmittance
+
+
+def _density_along(grid: DensityGrid, position: Tensor, direction: Tensor, distance: Tensor) -> Tensor:
+    """Density `(ray,)` at a distance along each ray; points beyond the box are held at its border."""
+    x, y, z = grid.voxel_coordinates(position + distance[:, None] * direction).unbind(-1)
+    return grid.table.look_up(x, y, z)
