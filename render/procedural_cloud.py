@@ -27,7 +27,7 @@ _HEAP, _PUFFS, _BILLOWS, _BASE, _RIM, _CORE = range(6)
 _PUFF_GENERATIONS = ((16, 0.30, 0.55), (12, 0.28, 0.50))
 
 # Wavelength and amplitude of the rounded bumps on the surface.
-_BILLOW_OCTAVES = ((0.110, 0.024), (0.055, 0.015), (0.0275, 0.009), (0.0138, 0.005))
+_BILLOW_OCTAVES = ((0.110, 0.028), (0.055, 0.017), (0.0275, 0.009), (0.0138, 0.005))
 _BILLOW_REACH = sum(amplitude for _, amplitude in _BILLOW_OCTAVES)
 
 # A rim is crisp where the cloud grows and frayed where it evaporates: softness varies by these factors.
@@ -74,7 +74,7 @@ class _Lattice:
 
 
 def build_cumulus(
-    resolution: int, seed: int = 0, *, width: float = 1000.0, towering: float = 0.6, softness: float = 0.02
+    resolution: int, seed: int = 0, *, width: float = 1000.0, towering: float = 0.6, softness: float = 0.012
 ) -> DensityGrid:
     """Density of a cumulus with billows and a flat base, centred on the origin.
 
