@@ -175,8 +175,9 @@ def orphaned_tests(modules: list[str], test_files: set[str]) -> list[str]:
 def test_the_tests_mirror_the_packages() -> None:
     modules = [relative(file) for file in product_files()]
     test_files = {relative(file) for file in (ROOT / "tests" / "unit").rglob("*.py")}
-    assert not modules_without_tests(modules, test_files)
-    assert not orphaned_tests(modules, test_files)
+    missing, orphaned = modules_without_tests(modules, test_files), orphaned_tests(modules, test_files)
+    assert not missing, "no test file: " + ", ".join(missing)
+    assert not orphaned, "tests of no module: " + ", ".join(orphaned)
     assert set(modules) >= UNTESTED_MODULES
 
 
