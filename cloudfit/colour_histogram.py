@@ -4,7 +4,8 @@ A pixel's level is that of an 8-bit image: round(255 curve(x)) of the linear val
 computed per pixel: x is bent by a cheap function (the square root, close to the sRGB curve), cut into
 256 steps per level, and the step looked up in a table. So the border between two levels lies within half a step of its
 place: at most 1/250 of a level off, and 1 pixel in about 1000 takes the neighbouring level. Photograph and rendering
-pass through the same table, so equal pixels have equal levels. Without a curve the borders are exact.
+pass through the same table, so equal pixels have equal levels. Without a curve the borders are exact
+to float32 rounding.
 """
 
 from collections.abc import Callable, Sequence

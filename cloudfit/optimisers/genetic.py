@@ -165,9 +165,9 @@ class GeneticAlgorithm:
     def __post_init__(self) -> None:
         if self.selection not in SELECTIONS:
             raise ParameterError(f"expected a selection out of {', '.join(SELECTIONS)}, got {self.selection!r}")
-        if not 0 <= self.elite_size < self.population_size:
+        if not 1 <= self.elite_size < self.population_size:
             raise ParameterError(
-                f"expected 0 <= elite_size < population_size, got {self.elite_size} and {self.population_size}"
+                f"expected 1 <= elite_size < population_size, got {self.elite_size} and {self.population_size}"
             )
         if not (0.0 <= self.crossover_probability <= 1.0 and 0.0 <= self.mutations <= BITS):
             raise ParameterError(
@@ -232,7 +232,8 @@ class GeneticAlgorithm:
         """Children (population - elite, bit): selection, crossover, mutation."""
         children = self.population_size - self.elite_size
         select = SELECTIONS[self.selection]
-        first, second = bits[select(losses, children, generator)], bits[select(losses, children, generator)]
+        # index_select stays on one thread; indexing with a tensor wakes all of them, which costs more than the generation.
+        first, second = (bits.index_select(0, select(losses, children, generator)) for _ in range(2))
         return mutate(
             cross_over(first, second, self.crossover_probability, generator), self.mutations / BITS, generator
         )
