@@ -34,6 +34,9 @@ class Camera(Protocol):
     def rays(self) -> tuple[Tensor, Tensor]:
         """Origins [m] and unit directions, each `(pixel, 3)`, row by row."""
 
+    def directions_at(self, points: Tensor) -> Tensor:
+        """Unit direction of travel of the camera ray through each point `(point, 3)` [m]."""
+
     def resized(self, width: int, height: int) -> "Camera":
         """The same view with other pixel counts."""
 
@@ -81,6 +84,13 @@ class PinholeCamera:
         origin = torch.tensor(self.position, dtype=torch.float64).expand_as(direction)
         return origin.to(torch.float32).contiguous(), direction.to(torch.float32)
 
+    def directions_at(self, points: Tensor) -> Tensor:
+        """Unit direction of travel of the camera ray through each point `(point, 3)` [m]; forward at the eye itself."""
+        offset = points - torch.tensor(self.position, dtype=points.dtype)
+        length = torch.linalg.vector_norm(offset, dim=-1, keepdim=True)
+        forward = _view_frame(self.position, self.target, self.up)[2].to(points.dtype)
+        return torch.where(length > 0, offset / length.clamp(min=1e-30), forward)
+
     def resized(self, width: int, height: int) -> "PinholeCamera":
         """The same eye and vertical opening angle with other pixel counts."""
         return PinholeCamera(self.position, self.target, self.field_of_view, width, height, self.up)
@@ -119,6 +129,11 @@ class OrthographicCamera:
         across, upwards = _image_plane(self.width, self.height, 0.5 * self.view_height)
         origin = torch.tensor(self.position, dtype=torch.float64) + across[:, None] * right + upwards[:, None] * up
         return origin.to(torch.float32), forward.expand_as(origin).to(torch.float32).contiguous()
+
+    def directions_at(self, points: Tensor) -> Tensor:
+        """Unit direction of travel of the camera ray through each point `(point, 3)` [m]: the same everywhere."""
+        forward = _view_frame(self.position, self.target, self.up)[2]
+        return forward.to(points.dtype).expand_as(points)
 
     def resized(self, width: int, height: int) -> "OrthographicCamera":
         """The same plane and vertical extent with other pixel counts."""
