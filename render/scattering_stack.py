@@ -10,7 +10,7 @@ theta between view and sun, the optical length u [m], the single-scattering inte
 tables. Their logarithms are interpolated, over ln s and g, since powers of s are straight lines there.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -67,13 +67,14 @@ class CloudLayers:
     Args:
         single: beta p S1 `(population, pixel)`.
         multiple: sum of beta^k f_k `(population, pixel)`.
-        transmittance: T `(population, pixel)`; the ambient layer is 1 - T.
+        transmittance: T `(population, pixel)`.
+        opacity: 1 - T `(population, pixel)`, the ambient layer, exact for thin clouds.
     """
 
     single: Tensor
     multiple: Tensor
     transmittance: Tensor
-    opacity: Tensor = field()
+    opacity: Tensor
 
 
 class ScatteringStack(nn.Module):

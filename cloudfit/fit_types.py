@@ -1,0 +1,116 @@
+"""What a fit is told and what it gives back."""
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from cloudfit.analysis import PhotographAnalysis
+from cloudfit.parameters import Ambient
+from cloudfit.quality import QUALITIES, Quality
+
+AIR_DEPTHS = tuple(0.3 * step for step in range(11))
+"""Optical depths kappa_a t_c that the linear search over the air tries for each channel."""
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Choices of the user.
+
+    Args:
+        quality: preset of effort and accuracy.
+        ambient: colour of the ambient light: the sun's (the paper), the sky's, or three more searched parameters.
+        transfer: display curve applied to both sides before a histogram, "srgb" or "none".
+        optimiser: name in OPTIMISERS.
+        evaluations: budget of the search, or None for the optimiser's own limit.
+        seconds: budget of the search, or None.
+        candidates: distinct answers to render again and rank.
+        seed: of every random stream.
+    """
+
+    quality: Quality = QUALITIES["standard"]
+    ambient: Ambient = "sun"
+    transfer: str = "srgb"
+    optimiser: str = "genetic"
+    evaluations: int | None = None
+    seconds: float | None = None
+    candidates: int = 4
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A candidate rendered by itself at full size; linear, `(height, width, 3)` or `(height, width)` for grey layers.
+
+    Args:
+        rgb: the image.
+        single: singly scattered sunlight in front of the viewer, after the air, `(height, width, 3)`.
+        multiple: sunlight scattered more often, likewise.
+        ambient: ambient light, likewise.
+        sky: light of the sky and the air, likewise; the four sum to `rgb`.
+        transmittance: of the cloud `(height, width)`.
+        image_error: estimated relative RMS error of the cloud pixels.
+        seconds: time it took.
+    """
+
+    rgb: Tensor
+    single: Tensor
+    multiple: Tensor
+    ambient: Tensor
+    sky: Tensor
+    transmittance: Tensor
+    image_error: float
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One answer.
+
+    Args:
+        parameters: searched parameters by name, in units.
+        air_depth: optical depth of the air, red, green, blue.
+        promised_loss: L1 loss that the stack promised.
+        loss: L1 loss of the picture rendered by itself.
+        wasserstein: mean distance of the picture's histograms from the photograph's [grey levels of 255].
+        floor: L1 loss of two images of equal appearance with as many pixels.
+        picture: full-size rendering.
+        histogram: of the picture's cloud pixels `(channel, bin)`.
+    """
+
+    parameters: dict[str, float]
+    air_depth: tuple[float, float, float]
+    promised_loss: float
+    loss: float
+    wasserstein: float
+    floor: float
+    picture: Picture
+    histogram: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class PhotographFit:
+    """Everything a fit found out about one photograph.
+
+    Args:
+        analysis: mask, filled sky, sunlight.
+        candidates: best first, by the loss of their own pictures.
+        histogram: of the photograph's cloud pixels `(channel, bin)`.
+        history: best loss after each iteration.
+        evaluations: candidates tried.
+        iterations: generations or steps.
+        stop_reason: sentence.
+        interrupted: whether Ctrl-C ended the search.
+        seconds: by stage: "search", "pictures".
+        warnings: sentences.
+    """
+
+    analysis: PhotographAnalysis
+    candidates: tuple[Candidate, ...]
+    histogram: Tensor
+    history: tuple[float, ...]
+    evaluations: int
+    iterations: int
+    stop_reason: str
+    interrupted: bool
+    seconds: dict[str, float]
+    warnings: tuple[str, ...]

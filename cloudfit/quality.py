@@ -1,0 +1,33 @@
+"""Presets that trade time for accuracy; the figures behind them are in benchmarks/results."""
+
+from dataclasses import dataclass
+
+from precompute.scattering_orders import Effort
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How much work a fit spends where.
+
+    Args:
+        table_scale: size of the stack's images over that of the pictures.
+        table_effort: of the stack.
+        picture_effort: of each candidate that is rendered again by itself.
+        asymmetry_nodes: of the stack, over the searched range.
+        extinction_nodes: of the stack, over the searched range.
+        largest_image_error: relative RMS error above which a table node is left out of the search.
+    """
+
+    table_scale: float
+    table_effort: Effort
+    picture_effort: Effort
+    asymmetry_nodes: int
+    extinction_nodes: int
+    largest_image_error: float
+
+
+QUALITIES: dict[str, Quality] = {
+    "draft": Quality(0.25, Effort(4, 30_000, 400_000, 8), Effort(4, 60_000, 800_000, 16), 7, 9, 0.25),
+    "standard": Quality(0.5, Effort(4, 100_000, 2_500_000, 16), Effort(4, 200_000, 2_000_000, 16), 11, 11, 0.15),
+    "reference": Quality(0.5, Effort(4, 200_000, 16_000_000, 24), Effort(4, 400_000, 12_000_000, 24), 15, 15, 0.08),
+}
