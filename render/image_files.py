@@ -236,6 +236,24 @@ def write_mask_png(path: Path | str, mask: Tensor | np.ndarray) -> None:
         temporary.write_bytes(cv2.imencode(".png", values)[1].tobytes())
 
 
+def read_mask_png(path: Path | str) -> np.ndarray:
+    """Read the stored grey numbers of an 8-bit mask (height, width), uint8; the inverse of `write_mask_png`.
+
+    Raises:
+        PhotographError: the file is missing, truncated, no image, coloured, or not of 8 bits.
+    """
+    path = Path(path)
+    data = _read_bytes(path)
+    stored, _, orientation = _decode(path, data, image_format(data))
+    if stored.dtype != np.uint8:
+        raise PhotographError(f"{path}: expected a mask of 8 bits per channel, got {stored.dtype}")
+    if stored.ndim == 3:
+        if (stored[..., :3] != stored[..., :1]).any():
+            raise PhotographError(f"{path}: expected a grey mask, got a coloured image; save it in grey levels")
+        stored = stored[..., 0]
+    return apply_orientation(stored, orientation)
+
+
 def write_exr(path: Path | str, layers: Mapping[str, Tensor]) -> None:
     """Write float32 layers, each (height, width) or (height, width, channel), into one EXR file.
 
