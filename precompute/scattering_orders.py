@@ -65,6 +65,9 @@ class Effort:
             raise ParameterError(f"a stack needs at least two orders and one point, path and stratum, not {self}")
 
 
+DEFAULT_EFFORT = Effort()
+
+
 @dataclass(frozen=True, eq=False)
 class _View:
     """The rays that see cloud."""
@@ -82,8 +85,8 @@ def build_scattering_stack(
     camera: Camera,
     sun_direction: Tensor,
     asymmetry: Tensor,
-    optical_depth: Tensor,
-    effort: Effort = Effort(),
+    extinction: Tensor,
+    effort: Effort = DEFAULT_EFFORT,
     seed: int = 0,
     on_progress: Progress = lambda stage, share: None,
 ) -> ScatteringTables:
@@ -94,7 +97,7 @@ def build_scattering_stack(
         camera: the view.
         sun_direction: unit vector towards the sun `(3,)`.
         asymmetry: nodes `(asymmetry,)`, rising, within +-0.999.
-        optical_depth: nodes `(extinction,)`, rising, positive: the largest optical depth of any view ray.
+        extinction: nodes `(extinction,)` [1/m], rising, positive.
         effort: work to spend.
         seed: of all random streams.
         on_progress: called with a stage's name and the share of it that is done.
@@ -106,13 +109,13 @@ def build_scattering_stack(
         ParameterError: for nodes outside their domain.
     """
     check_asymmetry(asymmetry)
-    if not bool((optical_depth > 0).all() & torch.isfinite(optical_depth).all() & (optical_depth.diff() > 0).all()):
-        raise ParameterError(f"optical depths must be positive, finite and rising, not {optical_depth.tolist()}")
+    if not bool((extinction > 0).all() & torch.isfinite(extinction).all() & (extinction.diff() > 0).all()):
+        raise ParameterError(f"extinction nodes must be positive, finite and rising, not {extinction.tolist()} 1/m")
     origin, direction = camera.rays()
     optical_length = compute_optical_length(grid, origin, direction)
     pixel = torch.nonzero(optical_length > 0).flatten()
     largest = float(optical_length.max())
-    extinction = optical_depth / largest if largest > 0.0 else optical_depth
+    optical_depth = extinction * largest
     sun = (sun_direction / torch.linalg.vector_norm(sun_direction)).to(torch.float32)
     view = _View(grid, camera, sun, origin[pixel], direction[pixel], largest)
     parts = []

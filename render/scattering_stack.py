@@ -112,7 +112,8 @@ class ScatteringStack(nn.Module):
 
         Args:
             asymmetry: `(population,)`.
-            extinction: `(population,)` [1/m]; values beyond the nodes are held at the border.
+            extinction: `(population,)` [1/m]. Below the nodes order k falls with the k-th power, its thin limit; above, the
+                tables are held; the transmittance is exact everywhere.
             albedo: `(population,)` in 0..1.
 
         Returns:
@@ -127,17 +128,17 @@ class ScatteringStack(nn.Module):
                 f"{tuple(asymmetry.shape)}, {tuple(extinction.shape)} and {tuple(albedo.shape)}"
             )
         nodes = self.tables.extinction.to(extinction)
-        held = extinction.clamp(float(nodes[0]), float(nodes[-1]))
-        of_extinction = cubic_weights(nodes.log(), held.log())
+        thinner = (extinction / nodes[0]).clamp(max=1.0)[:, None]
+        of_extinction = cubic_weights(nodes.log(), extinction.clamp(min=float(nodes[0])).log())
         of_asymmetry = cubic_weights(self.tables.asymmetry, asymmetry)
         node_weights = (of_asymmetry[:, :, None] * of_extinction[:, None, :]).flatten(1)
         phase = evaluate_phase_function(self.cos_sun.to(asymmetry), asymmetry[:, None])
-        single = albedo[:, None] * phase * (of_extinction @ self.log_single.to(albedo)).exp()
+        single = albedo[:, None] * thinner * phase * (of_extinction @ self.log_single.to(albedo)).exp()
         multiple = torch.zeros_like(single)
         for number, log_order in enumerate(self.log_multiple):
-            power = albedo[:, None] ** (number + 2)
+            power = (albedo[:, None] * thinner) ** (number + 2)
             multiple = multiple + power * (node_weights @ log_order.to(albedo)).exp()
-        depth = held[:, None] * self.optical_length.to(albedo)
+        depth = extinction[:, None] * self.optical_length.to(albedo)
         return CloudLayers(single, multiple, torch.exp(-depth), -torch.expm1(-depth))
 
     def is_usable(self, asymmetry: Tensor, extinction: Tensor) -> Tensor:

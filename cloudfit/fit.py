@@ -1,0 +1,135 @@
+"""Fit one photograph: search on the stack, then render the best distinct answers by themselves and rank them by that."""
+
+import time
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from cloudfit.analysis import PhotographAnalysis
+from cloudfit.candidates import distinct_candidates
+from cloudfit.fit_problem import FitProblem, resize_image
+from cloudfit.fit_types import Candidate, FitOptions, PhotographFit
+from cloudfit.losses import LOSSES, l1_floor
+from cloudfit.optimisers import OPTIMISERS
+from cloudfit.optimisers.base import Budget, OptimiserResult, StopReason
+from cloudfit.picture import CandidateRendering
+from cloudfit.scene import Scene
+from render.errors import ParameterError
+from render.scattering_stack import ScatteringStack
+
+BOUND_MARGIN = 0.005
+"""A parameter within this share of its range from an end is reported as sitting on its bound."""
+
+SURPRISE = 0.05
+"""A picture whose loss differs by more than this from what the stack promised is reported."""
+
+DEFAULT_OPTIONS = FitOptions()
+
+Progress = Callable[[str, float], None]
+
+
+def fit_photograph(
+    analysis: PhotographAnalysis,
+    scene: Scene,
+    stack: ScatteringStack,
+    options: FitOptions = DEFAULT_OPTIONS,
+    on_progress: Progress = lambda stage, share: None,
+) -> PhotographFit:
+    """Find the rendering parameters that make the volume look like the photograph.
+
+    Args:
+        analysis: of the photograph.
+        scene: volume, full-size camera, sun.
+        stack: of the scene, from `prepare_stack`.
+        options: of the user.
+        on_progress: called with a stage ("search", "pictures") and the share of it that is done.
+
+    Returns:
+        The ranked answers. If the search was interrupted, its incumbent alone.
+
+    Raises:
+        ParameterError: for an unknown optimiser.
+    """
+    if options.optimiser not in OPTIMISERS:
+        raise ParameterError(f"no optimiser is called {options.optimiser!r}; there are {', '.join(OPTIMISERS)}")
+    problem = FitProblem(analysis, stack, options.ambient, options.transfer)
+    started = time.perf_counter()
+    result = _search(problem, options, on_progress)
+    searched = time.perf_counter()
+    interrupted = result.stop_reason is StopReason.INTERRUPTED
+    count = 1 if interrupted else options.candidates
+    chosen = distinct_candidates(result.evaluated, result.losses, count, absolute_excess=problem.floor)
+    candidates = []
+    for number, index in enumerate(chosen.tolist()):
+        on_progress("pictures", number / len(chosen))
+        physical = problem.space.to_physical(result.evaluated[index : index + 1])
+        candidates.append(_render_candidate(problem, scene, options, physical, float(result.losses[index])))
+    on_progress("pictures", 1.0)
+    candidates.sort(key=lambda candidate: candidate.loss)
+    return PhotographFit(
+        analysis=analysis,
+        candidates=tuple(candidates),
+        histogram=problem.target,
+        history=tuple(result.history.tolist()),
+        evaluations=result.evaluations,
+        iterations=result.iterations,
+        stop_reason=result.stop_reason.value,
+        interrupted=interrupted,
+        seconds={"search": searched - started, "pictures": time.perf_counter() - searched},
+        warnings=(*analysis.warnings, *_warnings(problem, candidates[0])),
+    )
+
+
+def _search(problem: FitProblem, options: FitOptions, on_progress: Progress) -> OptimiserResult:
+    budget = Budget(options.evaluations, options.seconds, None)
+
+    def report(iteration: int, evaluations: int, best_loss: float) -> None:
+        on_progress(f"search: loss {best_loss:.3f}", min(1.0, iteration / 100.0))
+
+    minimiser = OPTIMISERS[options.optimiser]
+    return minimiser.minimise(problem.evaluate, problem.space.dimension, budget, options.seed, report)
+
+
+def _render_candidate(
+    problem: FitProblem, scene: Scene, options: FitOptions, physical: Tensor, promised: float
+) -> Candidate:
+    """Render one answer by itself, search its air again and score it on that picture."""
+    parameters = problem.space.as_dict(physical[0])
+    rendering = CandidateRendering(scene, parameters, options.quality.picture_effort, options.seed)
+    lighting = problem.lighting(physical.to(torch.float32))
+    sky = resize_image(problem.analysis.sky, scene.camera.width, scene.camera.height)
+    air = rendering.search_air(lighting, sky, problem.target, options.transfer)
+    red, green, blue = air.air_depth[0].tolist()
+    return Candidate(
+        parameters=parameters,
+        air_depth=(red, green, blue),
+        promised_loss=promised,
+        loss=float(air.loss.mean()),
+        wasserstein=float(LOSSES["wasserstein"](air.histogram[0], problem.target).mean()),
+        floor=float(l1_floor(problem.target, len(rendering.pixel)).mean()),
+        picture=rendering.picture(lighting, sky, air.air_depth[0]),
+        histogram=air.histogram[0],
+    )
+
+
+def _warnings(problem: FitProblem, best: Candidate) -> list[str]:
+    """Sentences about an answer that a user should not trust blindly."""
+    unit = problem.space.to_unit(torch.tensor([list(best.parameters.values())]))[0]
+    warnings = []
+    for parameter, place in zip(problem.space.parameters, unit.tolist(), strict=True):
+        if place < BOUND_MARGIN or place > 1.0 - BOUND_MARGIN:
+            end = "lower" if place < 0.5 else "upper"
+            warnings.append(
+                f"{parameter.name} sits on the {end} bound of its range; the scene may not be able to match the photograph."
+            )
+    if abs(best.loss - best.promised_loss) > SURPRISE:
+        warnings.append(
+            f"the picture's own loss is {best.loss:.3f}, the stack promised {best.promised_loss:.3f}; a higher quality narrows the gap."
+        )
+    left_out = 1.0 - float(problem.stack.usable.float().mean())
+    if left_out > 0.0:
+        warnings.append(
+            f"{left_out:.0%} of the table's nodes missed the accepted error and were left out of the search."
+        )
+    return warnings

@@ -1,0 +1,159 @@
+"""The objective: the only place that knows both the scattering stack and the photograph.
+
+    O = mean over channels of min over kappa of sum over 256 levels |h_image - h_photo|        (Dobashi et al. 2012, equation 2)
+
+The air's optical depth enters each channel alone, so its linear search is 11 x 3 histograms a candidate, not 11^3.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import torch
+from torch import Tensor
+
+from cloudfit.analysis import PhotographAnalysis
+from cloudfit.colour_histogram import colour_histogram, haze_histograms
+from cloudfit.fit_types import AIR_DEPTHS
+from cloudfit.losses import LOSSES, l1_floor
+from cloudfit.parameters import Ambient, SearchSpace, cloud_search_space
+from render.cloud_image import Lighting, compose_cloud
+from render.scattering_stack import CloudLayers, ScatteringStack
+
+FAINTEST_SHARE = 0.02
+"""Pixels whose optical length is a smaller share of the largest are fringes that no mask would call cloud."""
+
+POPULATION_CHUNK = 32
+"""Candidates composed at once; bounds the memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class HazeSearch:
+    """Outcome of the linear search over the air.
+
+    Args:
+        loss: smallest L1 loss `(population, channel)`.
+        air_depth: where it is reached `(population, channel)`.
+        histogram: of the image with that air `(population, channel, bin)`.
+    """
+
+    loss: Tensor
+    air_depth: Tensor
+    histogram: Tensor
+
+
+def search_haze(cloud: Tensor, sky: Tensor, target: Tensor, display_curve: str) -> HazeSearch:
+    """Best optical depth of the air for each candidate and channel.
+
+    Args:
+        cloud: radiance `(population, channel, pixel)`.
+        sky: radiance behind it `(channel, pixel)`.
+        target: the photograph's histogram `(channel, bin)`.
+        display_curve: "srgb" or "none".
+    """
+    depths = torch.tensor(AIR_DEPTHS, dtype=torch.float64)
+    histograms = haze_histograms(cloud, sky, torch.exp(-depths), display_curve)
+    losses = LOSSES["l1"](histograms, target)
+    best = losses.nan_to_num(nan=torch.inf).argmin(1)
+    population, channel = torch.meshgrid(torch.arange(len(cloud)), torch.arange(len(sky)), indexing="ij")
+    return HazeSearch(losses[population, best, channel], depths[best], histograms[population, best, channel])
+
+
+def resize_image(image: Tensor, width: int, height: int) -> Tensor:
+    """Image `(height, width, channel)` averaged or interpolated to another size."""
+    shrinks = width * height < image.shape[0] * image.shape[1]
+    method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return torch.from_numpy(cv2.resize(image.contiguous().numpy(), (width, height), interpolation=method))
+
+
+def visible_share(optical_length: Tensor) -> Tensor:
+    """Which cloud pixels count in histograms `(pixel,)` bool."""
+    return optical_length > FAINTEST_SHARE * optical_length.max()
+
+
+@dataclass(frozen=True, eq=False)
+class FitProblem:
+    """Losses of whole populations in the unit cube.
+
+    Args:
+        analysis: of the photograph.
+        stack: of the scene.
+        ambient: colour of the ambient light.
+        display_curve: applied to both sides before the histograms.
+    """
+
+    analysis: PhotographAnalysis
+    stack: ScatteringStack
+    ambient: Ambient = "sun"
+    display_curve: str = "srgb"
+
+    @cached_property
+    def space(self) -> SearchSpace:
+        """The searched parameters."""
+        nodes = self.stack.tables.asymmetry
+        asymmetry_range = (float(nodes[0]), float(nodes[-1]))
+        extinction_range = (float(self.stack.tables.extinction[0]), float(self.stack.tables.extinction[-1]))
+        return cloud_search_space(
+            self.stack.tables.largest_optical_length, self.ambient, extinction_range, asymmetry_range=asymmetry_range
+        )
+
+    @cached_property
+    def target(self) -> Tensor:
+        """Histogram of the photograph's cloud pixels `(channel, bin)`."""
+        pixels = self.analysis.photograph.pixels[self.analysis.mask.cloud]
+        return colour_histogram(pixels, self.display_curve)
+
+    @cached_property
+    def counted(self) -> Tensor:
+        """Numbers of the stack's cloud pixels that count in the histogram."""
+        return torch.nonzero(visible_share(self.stack.optical_length)).flatten()
+
+    @cached_property
+    def sky(self) -> Tensor:
+        """Sky behind the counted pixels `(channel, pixel)`."""
+        image = resize_image(self.analysis.sky, self.stack.tables.width, self.stack.tables.height)
+        return image.flatten(0, 1)[self.stack.pixel[self.counted]].T.contiguous()
+
+    @cached_property
+    def floor(self) -> float:
+        """Loss of two images of equal appearance with as many pixels; nothing below it can be told apart."""
+        return float(l1_floor(self.target, len(self.counted)).mean())
+
+    def lighting(self, physical: Tensor) -> Lighting:
+        """Light of candidates in units `(population, parameter)`."""
+        sunlight = self.analysis.sunlight
+        column = {name: physical[:, number] for number, name in enumerate(self.space.names)}
+        colour = {"sun": sunlight.colour, "sky": sunlight.ambient_sky_colour}.get(self.ambient)
+        if colour is None:
+            colour = torch.stack([column[f"ambient_{name}"] for name in ("red", "green", "blue")], dim=1)
+        return Lighting(column["sunlight_intensity"], sunlight.colour, column["ambient"], colour)
+
+    def compose(self, physical: Tensor) -> Tensor:
+        """Radiance of the counted pixels without air `(population, channel, pixel)`; differentiable."""
+        column = {name: physical[:, number] for number, name in enumerate(self.space.names)}
+        layers = self.stack(column["asymmetry"], column["extinction"], column["albedo"])
+        counted = CloudLayers(
+            layers.single[:, self.counted],
+            layers.multiple[:, self.counted],
+            layers.transmittance[:, self.counted],
+            layers.opacity[:, self.counted],
+        )
+        return compose_cloud(counted, self.lighting(physical), self.sky)
+
+    @torch.no_grad()
+    def evaluate(self, population: Tensor) -> Tensor:
+        """Objective of candidates.
+
+        Args:
+            population: `(population, parameter)` in the unit cube.
+
+        Returns:
+            Losses `(population,)`; candidates between table nodes that miss the accepted error get the worst loss.
+        """
+        losses = []
+        for part in population.split(POPULATION_CHUNK):
+            physical = self.space.to_physical(part.to(torch.float32))
+            loss = search_haze(self.compose(physical), self.sky, self.target, self.display_curve).loss.mean(1)
+            usable = self.stack.is_usable(physical[:, 1], physical[:, 2])
+            losses.append(torch.where(usable, loss, LOSSES["l1"].worst))
+        return torch.cat(losses)

@@ -1,0 +1,119 @@
+"""A candidate rendered by itself: all effort on one asymmetry and one extinction, at full size."""
+
+import time
+
+import torch
+from torch import Tensor
+
+from cloudfit.fit_problem import HazeSearch, resize_image, search_haze, visible_share
+from cloudfit.fit_types import Picture
+from cloudfit.scene import Scene
+from precompute.scattering_orders import Effort, Progress, build_scattering_stack
+from render.cloud_image import Lighting, compose_cloud
+from render.scattering_stack import CloudLayers, ScatteringStack
+
+
+class CandidateRendering:
+    """Cloud layers of one candidate, for any lighting, sky and air.
+
+    Args:
+        scene: volume, camera and sun.
+        parameters: `asymmetry`, `extinction` [1/m], `albedo`, `sunlight_intensity` and `ambient` by name.
+        effort: of the rendering.
+        seed: of the random streams.
+        on_progress: called with a stage and the share of it that is done.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        parameters: dict[str, float],
+        effort: Effort,
+        seed: int = 0,
+        on_progress: Progress = lambda stage, share: None,
+    ) -> None:
+        started = time.perf_counter()
+        self.scene, self.parameters = scene, parameters
+        asymmetry, extinction, albedo = (
+            torch.tensor([parameters[name]]) for name in ("asymmetry", "extinction", "albedo")
+        )
+        tables = build_scattering_stack(
+            scene.grid, scene.camera, scene.sun_direction, asymmetry, extinction, effort, seed, on_progress
+        )
+        stack = ScatteringStack(tables)
+        with torch.no_grad():
+            self.layers: CloudLayers = stack(asymmetry, extinction, albedo)
+        self.pixel, self.optical_length = tables.pixel, tables.optical_length
+        self.image_error = float(tables.image_error[0, 0])
+        self.seconds = time.perf_counter() - started
+
+    def lighting(self, sunlight_colour: Tensor, ambient_colour: Tensor) -> Lighting:
+        """Light of the candidate; colours `(channel,)`."""
+        intensity, ambient = (torch.tensor([self.parameters[name]]) for name in ("sunlight_intensity", "ambient"))
+        return Lighting(intensity, sunlight_colour, ambient, ambient_colour)
+
+    def search_air(self, lighting: Lighting, sky: Tensor, target: Tensor, display_curve: str) -> HazeSearch:
+        """Best air for this picture; `sky` `(height, width, channel)` at the camera's size, `target` `(channel, bin)`."""
+        behind = sky.flatten(0, 1)[self.pixel].T
+        cloud = compose_cloud(self.layers, lighting, behind)
+        counted = visible_share(self.optical_length)
+        return search_haze(cloud[:, :, counted], behind[:, counted], target, display_curve)
+
+    def picture(self, lighting: Lighting, sky: Tensor, air_depth: Tensor) -> Picture:
+        """The picture with its layers; `air_depth` `(channel,)`."""
+        camera = self.scene.camera
+        share = torch.exp(-air_depth.to(torch.float32))
+        colours = lighting.sunlight_colour * lighting.sunlight_intensity
+        ambient = lighting.ambient_colour.reshape(3) * lighting.ambient
+
+        def spread(values: Tensor, fill: float = 0.0) -> Tensor:
+            image = torch.full((camera.height * camera.width, *values.shape[1:]), fill)
+            image[self.pixel] = values
+            return image.unflatten(0, (camera.height, camera.width))
+
+        single = spread(self.layers.single[0, :, None] * colours * share)
+        multiple = spread(self.layers.multiple[0, :, None] * colours * share)
+        diffuse = spread(self.layers.opacity[0, :, None] * ambient * share)
+        transmittance = spread(self.layers.transmittance[0], 1.0)
+        behind = sky * (share * transmittance[..., None] + (1.0 - share))
+        return Picture(
+            single + multiple + diffuse + behind,
+            single,
+            multiple,
+            diffuse,
+            behind,
+            transmittance,
+            self.image_error,
+            self.seconds,
+        )
+
+
+def render_picture(
+    scene: Scene,
+    parameters: dict[str, float],
+    air_depth: tuple[float, float, float],
+    sunlight_colour: Tensor,
+    ambient_colour: Tensor,
+    sky: Tensor,
+    effort: Effort,
+    seed: int = 0,
+    on_progress: Progress = lambda stage, share: None,
+) -> Picture:
+    """Render fitted parameters in any scene.
+
+    Args:
+        scene: volume, camera and sun.
+        parameters: searched parameters by name, in units.
+        air_depth: optical depth of the air, red, green, blue.
+        sunlight_colour, ambient_colour: `(channel,)`, largest channel 1.
+        sky: `(height, width, channel)` of any size.
+        effort: of the rendering.
+        seed: of the random streams.
+        on_progress: called with a stage and the share of it that is done.
+
+    Returns:
+        The picture at the camera's size.
+    """
+    rendering = CandidateRendering(scene, parameters, effort, seed, on_progress)
+    behind = resize_image(sky, scene.camera.width, scene.camera.height)
+    return rendering.picture(rendering.lighting(sunlight_colour, ambient_colour), behind, torch.tensor(air_depth))

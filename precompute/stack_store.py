@@ -1,0 +1,119 @@
+"""Scattering stacks on disk: build one, or load the one that was built for just this volume, camera, sun and effort."""
+
+import time
+from dataclasses import dataclass, fields
+from importlib.metadata import version
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from precompute.scattering_orders import Effort, Progress, build_scattering_stack
+from precompute.store import load_tables, save_tables, table_key
+from render.camera import Camera
+from render.density_grid import DensityGrid
+from render.errors import StoreError
+from render.scattering_stack import ScatteringTables
+
+STACK_VERSION = 1
+"""Raised whenever the numbers that the same arguments give change; older files are then built anew."""
+
+
+@dataclass(frozen=True)
+class StackReport:
+    """Where a stack came from.
+
+    Args:
+        seconds: it took to build, or to load.
+        reused: whether it was loaded.
+        path: of its file, or None if it was not kept.
+    """
+
+    seconds: float
+    reused: bool
+    path: Path | None
+
+
+def stack_key(
+    grid: DensityGrid,
+    camera: Camera,
+    sun_direction: Tensor,
+    asymmetry: Tensor,
+    extinction: Tensor,
+    effort: Effort,
+    seed: int,
+) -> str:
+    """Hash of everything that a stack depends on; arguments as for `build_scattering_stack`."""
+    return table_key(
+        {
+            "stack": STACK_VERSION,
+            "density": grid.density,
+            "lower": grid.lower,
+            "upper": grid.upper,
+            "camera": camera,
+            "sun": sun_direction,
+            "asymmetry": asymmetry,
+            "extinction": extinction,
+            "effort": effort,
+            "seed": seed,
+        }
+    )
+
+
+def load_or_build_stack(
+    folder: Path | None,
+    grid: DensityGrid,
+    camera: Camera,
+    sun_direction: Tensor,
+    asymmetry: Tensor,
+    extinction: Tensor,
+    effort: Effort,
+    seed: int = 0,
+    on_progress: Progress = lambda stage, share: None,
+) -> tuple[ScatteringTables, StackReport]:
+    """Tables from a folder, or freshly built and kept there.
+
+    Args:
+        folder: of the stack files, made if needed; None keeps nothing.
+        grid, camera, sun_direction, asymmetry, extinction, effort, seed, on_progress: as for `build_scattering_stack`.
+
+    Returns:
+        The tables, and where they came from. A stale, damaged or foreign file is replaced.
+    """
+    started = time.perf_counter()
+    key = stack_key(grid, camera, sun_direction, asymmetry, extinction, effort, seed)
+    path = None if folder is None else folder / f"stack-{key[:16]}.safetensors"
+    if path is not None and path.exists():
+        try:
+            tables = load_stack(path, key)
+            return tables, StackReport(time.perf_counter() - started, True, path)
+        except StoreError:
+            path.unlink(missing_ok=True)
+    tables = build_scattering_stack(grid, camera, sun_direction, asymmetry, extinction, effort, seed, on_progress)
+    seconds = time.perf_counter() - started
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_stack(path, tables, key, {"effort": effort.__dict__, "seed": seed, "seconds": seconds})
+    return tables, StackReport(seconds, False, path)
+
+
+def save_stack(path: Path, tables: ScatteringTables, key: str, provenance: dict[str, object]) -> None:
+    """Write tables under a key; `provenance` must be JSON. Raises StoreError if that fails."""
+    tensors = {item.name: value for item in fields(tables) if isinstance(value := getattr(tables, item.name), Tensor)}
+    about = {
+        **provenance,
+        "width": tables.width,
+        "height": tables.height,
+        "cloudfit": version("cloudfit"),
+        "torch": torch.__version__,
+    }
+    save_tables(path, tensors, about, key)
+
+
+def load_stack(path: Path, key: str) -> ScatteringTables:
+    """Read tables that `save_stack` wrote under the same key. Raises StoreError otherwise."""
+    tensors, about = load_tables(path, key)
+    try:
+        return ScatteringTables(width=int(about["width"]), height=int(about["height"]), **tensors)
+    except (KeyError, TypeError, ValueError) as error:
+        raise StoreError(f"cannot load the stack {path}: other tables than expected ({error})") from error
