@@ -11,14 +11,12 @@ from cloudfit.optimisers.base import Budget, StopReason, run_ask_tell
 from cloudfit.optimisers.genetic import (
     BITS,
     LARGEST_CODE,
-    SELECTIONS,
     GeneticAlgorithm,
     cross_over,
     decode,
     encode,
     mutate,
-    select_by_roulette,
-    select_by_tournament,
+    select_parents,
 )
 from render.errors import ParameterError
 
@@ -53,7 +51,7 @@ def test_roulette_draws_in_proportion_to_the_papers_fitness() -> None:
     losses = torch.tensor([0.0, 0.25, 1.0, 3.0], dtype=torch.float64)
     fitness = 1 / (losses + 1)
     draws = 40_000
-    counts = torch.bincount(select_by_roulette(losses, draws, generator(3)), minlength=4)
+    counts = torch.bincount(select_parents(losses, draws, generator(3)), minlength=4)
     # Four bins at 4 standard deviations: less than one false alarm in 3000 seeds.
     assert worst_z(counts, fitness / fitness.sum(), draws) < 4
     other = 1 / (losses + 0.5)
@@ -62,18 +60,8 @@ def test_roulette_draws_in_proportion_to_the_papers_fitness() -> None:
 
 def test_roulette_allows_negative_losses() -> None:
     losses = torch.tensor([-3.0, -2.0], dtype=torch.float64)
-    counts = torch.bincount(select_by_roulette(losses, 30_000, generator(4)), minlength=2)
+    counts = torch.bincount(select_parents(losses, 30_000, generator(4)), minlength=2)
     assert worst_z(counts, torch.tensor([2 / 3, 1 / 3], dtype=torch.float64), 30_000) < 4
-
-
-def test_tournament_depends_on_ranks_alone() -> None:
-    losses = torch.tensor([3.0, 0.1, 2.0, 1.0], dtype=torch.float64)
-    draws = 40_000
-    chosen = select_by_tournament(losses, draws, generator(5))
-    # The r-th best of n wins against itself and all worse ones: (2 (n - r) + 1) / n^2, r from 1.
-    probability = torch.tensor([1.0, 7.0, 3.0, 5.0], dtype=torch.float64) / 16
-    assert worst_z(torch.bincount(chosen, minlength=4), probability, draws) < 4
-    assert torch.equal(select_by_tournament(losses.exp() * 1e3, draws, generator(5)), chosen)
 
 
 def test_a_crossed_child_has_one_segment_of_its_second_parent() -> None:
@@ -171,7 +159,7 @@ def test_it_ends_after_the_largest_number_of_iterations() -> None:
 def test_the_papers_rules() -> None:
     paper = GeneticAlgorithm.paper()
     assert (paper.population_size, paper.stagnation_iterations, paper.largest_iterations) == (20, 20, 100)
-    assert (paper.selection, paper.target, BITS) == ("roulette", 0.5, 32)
+    assert (paper.target, BITS) == (0.5, 32)
 
 
 def hills(population: Tensor) -> Tensor:
@@ -180,10 +168,9 @@ def hills(population: Tensor) -> Tensor:
     return (x**2 + 3 * (1 - torch.cos(2 * math.pi * x))).sum(dim=1)
 
 
-@pytest.mark.parametrize("selection", SELECTIONS)
-def test_it_beats_random_search_at_equal_evaluations(selection: str) -> None:
+def test_it_beats_random_search_at_equal_evaluations() -> None:
     evaluations, seeds = 1000, range(12)
-    algorithm = GeneticAlgorithm(selection=selection, stagnation_iterations=1000)  # type: ignore[arg-type]
+    algorithm = GeneticAlgorithm(stagnation_iterations=1000)
     bred = [run_ask_tell(algorithm, hills, 5, Budget(evaluations=evaluations), seed) for seed in seeds]
     assert all(result.evaluations == evaluations for result in bred)
     random = [float(hills(torch.rand(evaluations, 5, generator=generator(1000 + seed))).min()) for seed in seeds]
@@ -198,7 +185,6 @@ def test_it_beats_random_search_at_equal_evaluations(selection: str) -> None:
         {"population_size": 1},
         {"elite_size": 20},
         {"elite_size": 0},
-        {"selection": "lottery"},
         {"crossover_probability": 1.5},
         {"mutations": -1.0},
         {"stagnation_iterations": 0},
