@@ -13,8 +13,13 @@ from cloudfit.outline import refine_outline
 # Longest side at which sky and landscape are told apart [pixel]; the outline is refined at full size afterwards.
 WORKING_SIDE = 320
 
-# Fineness of the texture of one step of the picture, below which it is sensor noise and compression [1, display value].
+# Texture is the mean curvature from pixel to pixel [display value] at this longest side at most, less what the smoothest
+# twentieth of the picture shows (sensor noise, compression), for a mean grey of one half: shaded masonry is as rough as lit.
+TEXTURE_SIDE = 1024
+NOISE_QUANTILE = 0.05
+SHADE_FLOOR = 0.3
 TEXTURE_FLOOR = 2e-3
+TEXTURE_WINDOW = (5, 5)
 
 # Blue light is what landscape lacks most (vegetation, soil and rock absorb it, sky and cloud do not). A skyline is worth
 # one unit where the logarithm of blue falls by this much from above to below, and half a unit where texture grows e-fold.
@@ -28,21 +33,26 @@ COMPARED_ROWS = 4
 # Price of one row of climb of the skyline between neighbouring columns: a step of seven rows costs one unit of edge.
 CLIMB_PRICE = 0.15
 
-# Mean log texture above which a patch is no sky: leaves, masonry, rock. Cumulus rims stay below it.
-LANDSCAPE_TEXTURE = -2.9
+# Mean log texture of a patch: clouds hardly reach the first; above the second it may stand before the sky where it rises
+# from the ground (leaves, masonry, rock); above the third even silhouetted clouds at sunset do not come.
 CLOUD_TEXTURE = -3.2
+LANDSCAPE_TEXTURE = -3.0
+MASONRY_TEXTURE = -2.8
 TEXTURE_PATCH_SIGMA = 4.0
 
 # Price of each row of rough texture that a skyline leaves above itself, so that it runs over a cliff rather than along the
 # snow below it: twenty such rows cost as much as one unit of edge.
 ROUGH_ROW_PRICE = 0.05
 
-# A skyline counts if its mean worth, less its mean price, less the share of what lies below it that looks like something
-# above it, reaches this. (Measured: skylines 0.39 to 1.34; paths forced through pictures of sky alone 0.22 and less.)
-LEAST_SKYLINE_WORTH = 0.3
+# A skyline counts if its mean worth, less `CLIMB_WEIGHT` times its climb per column, less `LIKENESS_WEIGHT` times the
+# likeness of what lies on its two sides, reaches this. Skylines measure 0.8 to 1.3, a sea horizon in rain 0.4 to 0.5, paths
+# forced through pictures of sky alone 0.1 and less, but for a dark horizontal bank of cloud 0.2 to 0.4.
+LEAST_SKYLINE_WORTH = 0.25
+CLIMB_WEIGHT = 0.3
+LIKENESS_WEIGHT = 2.0
 
 # Everything farther below the skyline than this share of the height is certain landscape for the graph cut, and what is
-# no rougher than clouds and rises that far above it is certain sky: dark clouds at sunset resemble the land.
+# that far above it and no masonry is certain sky: dark clouds at sunset resemble the land.
 CERTAIN_DEPTH = 0.08
 CERTAIN_RISE = 0.03
 GRAPH_CUT_ITERATIONS = 4
@@ -75,14 +85,23 @@ def find_sky(display: np.ndarray) -> np.ndarray:
 
 
 def _reduce(display: np.ndarray) -> _Scene:
-    """Working size; texture is measured at full size, before the reduction blurs it."""
-    height, width = display.shape[:2]
-    scale = min(1.0, WORKING_SIDE / max(height, width))
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    curvature = np.abs(cv2.Laplacian(display.mean(axis=2), cv2.CV_32F, ksize=1))
-    colours = cv2.resize(display, size, interpolation=cv2.INTER_AREA)
-    texture = cv2.blur(cv2.resize(curvature, size, interpolation=cv2.INTER_AREA), (5, 5))
+    """Working size; texture is measured before the reduction blurs it."""
+    fine = _shrink(display, TEXTURE_SIDE)
+    curvature = np.abs(cv2.Laplacian(fine.mean(axis=2), cv2.CV_32F, ksize=1))
+    colours = _shrink(fine, WORKING_SIDE)
+    texture = cv2.blur(_shrink(curvature, WORKING_SIDE), TEXTURE_WINDOW)
+    texture = np.maximum(texture - np.quantile(texture, NOISE_QUANTILE), 0.0)
+    grey = cv2.blur(colours.mean(axis=2), TEXTURE_WINDOW)
+    texture *= (0.5 + SHADE_FLOOR) / (grey + SHADE_FLOOR)
     return _Scene(colours, np.log(texture + TEXTURE_FLOOR), np.log(colours[..., 2] + BLUE_FLOOR))
+
+
+def _shrink(values: np.ndarray, side: int) -> np.ndarray:
+    """Reduce the longest side to `side` at most."""
+    height, width = values.shape[:2]
+    scale = min(1.0, side / max(height, width))
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return cv2.resize(values, size, interpolation=cv2.INTER_AREA)
 
 
 def _means_beside(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -106,11 +125,11 @@ def _skyline(scene: _Scene) -> np.ndarray | None:
     worth[[0, -1]] = 0.0
     rough_above = np.cumsum(np.clip(scene.texture - CLOUD_TEXTURE, 0.0, 1.0), axis=0)
     path = _best_path(worth - ROUGH_ROW_PRICE * np.concatenate([np.zeros((1, width)), rough_above]))
-    gain = worth[path, np.arange(width)].mean() - CLIMB_PRICE * np.abs(np.diff(path)).sum() / width
     above = np.arange(height)[:, None] < path
-    if above.all() or not above.any() or gain - _known_below(scene, above) < LEAST_SKYLINE_WORTH:
+    if above.all() or not above.any():
         return None
-    return path
+    gain = worth[path, np.arange(width)].mean() - CLIMB_WEIGHT * np.abs(np.diff(path)).sum() / width
+    return path if gain - LIKENESS_WEIGHT * _likeness(scene, above) > LEAST_SKYLINE_WORTH else None
 
 
 def _best_path(worth: np.ndarray) -> np.ndarray:
@@ -132,39 +151,37 @@ def _best_path(worth: np.ndarray) -> np.ndarray:
 
 # Cells of the histogram in CIE Lab and log texture by which the two sides of a skyline are compared.
 LIGHTNESS_CELL, COLOUR_CELL, TEXTURE_CELL = 12.5, 8.0, 1.0
-LEAST_CELL_SHARE = 5e-4
 
 
-def _known_below(scene: _Scene, above: np.ndarray) -> float:
-    """Share of the pixels below the skyline whose colour and texture also occur above it."""
+def _likeness(scene: _Scene, above: np.ndarray) -> float:
+    """Overlap of the histograms of colour and texture above and below a skyline: 0 for strangers, 1 for equals."""
     lab = cv2.cvtColor(scene.colours, cv2.COLOR_RGB2LAB)
-    cells = np.stack(
-        [
-            np.clip(lab[..., 0] / LIGHTNESS_CELL, 0, 7),
-            np.clip(lab[..., 1] / COLOUR_CELL + 8, 0, 15),
-            np.clip(lab[..., 2] / COLOUR_CELL + 8, 0, 15),
-            np.clip((scene.texture - np.log(TEXTURE_FLOOR)) / TEXTURE_CELL, 0, 4),
-        ]
-    ).astype(np.int64)
     shape = (8, 16, 16, 5)
-    index = np.ravel_multi_index(tuple(cells), shape)
-    counts_above = np.bincount(index[above], minlength=int(np.prod(shape)))
-    counts_below = np.bincount(index[~above], minlength=int(np.prod(shape)))
-    return float(counts_below[counts_above > LEAST_CELL_SHARE * above.sum()].sum() / counts_below.sum())
+    cells = (
+        lab[..., 0] / LIGHTNESS_CELL,
+        lab[..., 1] / COLOUR_CELL + 8,
+        lab[..., 2] / COLOUR_CELL + 8,
+        (scene.texture - np.log(TEXTURE_FLOOR)) / TEXTURE_CELL,
+    )
+    clipped = tuple(np.clip(cell, 0, count - 1).astype(np.int64) for cell, count in zip(cells, shape, strict=True))
+    index = np.ravel_multi_index(clipped, shape)
+    count = int(np.prod(shape))
+    shares = [np.bincount(index[side], minlength=count) / side.sum() for side in (above, ~above)]
+    return float(np.minimum(*shares).sum())
 
 
 def _cut(scene: _Scene, skyline: np.ndarray | None) -> np.ndarray:
     """Sky (height, width) by GrabCut in lightness, yellow-blue and texture, started from the skyline and from texture."""
     height, width = scene.blue.shape
     start = np.full((height, width), cv2.GC_PR_FGD, np.uint8)
-    if skyline is not None:
+    patches = cv2.GaussianBlur(scene.texture, (0, 0), TEXTURE_PATCH_SIGMA)
+    if skyline is None:
+        start[_standing(patches > LANDSCAPE_TEXTURE)] = cv2.GC_BGD
+    else:
         depth = np.arange(height)[:, None] - skyline
         start[depth >= 0] = cv2.GC_PR_BGD
         start[depth > CERTAIN_DEPTH * height] = cv2.GC_BGD
-    patches = cv2.GaussianBlur(scene.texture, (0, 0), TEXTURE_PATCH_SIGMA)
-    if skyline is not None:
-        start[(depth < -CERTAIN_RISE * height) & (patches < CLOUD_TEXTURE)] = cv2.GC_FGD
-    start[_standing(patches > LANDSCAPE_TEXTURE, start)] = cv2.GC_BGD
+        start[(depth < -CERTAIN_RISE * height) & (patches < MASONRY_TEXTURE)] = cv2.GC_FGD
     certain = start == cv2.GC_BGD
     if certain.mean() < LEAST_LANDSCAPE or (start & 1).mean() < LEAST_LANDSCAPE:
         return (start & 1).astype(bool)
@@ -177,11 +194,10 @@ def _cut(scene: _Scene, skyline: np.ndarray | None) -> np.ndarray:
     return (cut & 1).astype(bool)
 
 
-def _standing(rough: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Rough patches that stand on the landscape or on the picture's lower edge; those that float are clouds."""
-    ground = (start == cv2.GC_PR_BGD) | (start == cv2.GC_BGD)
-    _, patches = cv2.connectedComponents((rough | ground).astype(np.uint8))
-    standing = np.unique(np.concatenate([patches[-1], patches[ground]]))
+def _standing(rough: np.ndarray) -> np.ndarray:
+    """Rough patches that stand on the picture's lower edge; those that float are clouds."""
+    _, patches = cv2.connectedComponents(rough.astype(np.uint8))
+    standing = np.unique(patches[-1])
     return rough & np.isin(patches, standing[standing > 0])
 
 

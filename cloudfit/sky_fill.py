@@ -125,6 +125,6 @@ def _laplace_system(values: np.ndarray, known: np.ndarray) -> tuple[sparse.csr_a
         rows.append(row[inside])
         columns.append(column[inside])
         right[row[~inside]] += values[there][pair][~inside]
-    row, column = np.concatenate(rows), np.concatenate(columns)
-    off_diagonal = sparse.coo_array((np.full(row.size, -1.0), (row, column)), shape=(count, count))
-    return (sparse.diags_array(degree) + off_diagonal).tocsr(), right
+    row, column = np.concatenate([np.arange(count), *rows]), np.concatenate([np.arange(count), *columns])
+    entries = np.concatenate([degree, np.full(row.size - count, -1.0)])
+    return sparse.coo_array((entries, (row, column)), shape=(count, count)).tocsr(), right
