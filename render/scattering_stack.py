@@ -128,7 +128,8 @@ class ScatteringStack(nn.Module):
                 f"{tuple(asymmetry.shape)}, {tuple(extinction.shape)} and {tuple(albedo.shape)}"
             )
         nodes = self.tables.extinction.to(extinction)
-        thinner = (extinction / nodes[0]).clamp(max=1.0)[:, None]
+        # Not clamp: at the first node its gradient would add to that of the clamp below.
+        thinner = torch.where(extinction < nodes[0], extinction / nodes[0], 1.0)[:, None]
         of_extinction = cubic_weights(nodes.log(), extinction.clamp(min=float(nodes[0])).log())
         of_asymmetry = cubic_weights(self.tables.asymmetry, asymmetry)
         node_weights = (of_asymmetry[:, :, None] * of_extinction[:, None, :]).flatten(1)
