@@ -56,6 +56,8 @@ class DensityGrid:
         cls, density: Tensor, voxel_size: float | Sequence[float], lower: Sequence[float] | None = None
     ) -> "DensityGrid":
         """Grid from the edge length of its voxels [m], one number or (x, y, z); centred on the origin without `lower`."""
+        if density.ndim != 3:
+            raise VolumeError(f"a density needs the shape (z, y, x), not {tuple(density.shape)}")
         counts = torch.tensor(list(reversed(density.shape)), dtype=torch.float32)
         size = counts * torch.as_tensor(voxel_size, dtype=torch.float32)
         corner = -0.5 * size if lower is None else torch.as_tensor(lower, dtype=torch.float32)

@@ -13,7 +13,8 @@ def child_generator(seed: int, *key: int, device: torch.device | str = "cpu") ->
         device: of the generator.
 
     Returns:
-        A generator whose stream is independent of every other key (numpy's SeedSequence hashes them).
+        A generator whose stream is independent of that of every other key of the same length (numpy's SeedSequence hashes
+        them, and fills short ones up with zeros).
     """
     state = np.random.SeedSequence([seed, *key]).generate_state(2, np.uint32)
     generator = torch.Generator(device=device)
