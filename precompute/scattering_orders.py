@@ -16,7 +16,7 @@ from precompute.gather import Lattice, gather_bags, lattice_over
 from precompute.path_sampler import TableNodes
 from precompute.single_scattering import compute_single_scattering
 from precompute.source_points import SourcePoints, allocate_paths, trace_source
-from render.camera import Camera
+from render.camera import Camera, unit_direction
 from render.density_grid import DensityGrid
 from render.errors import ParameterError
 from render.phase_functions import check_asymmetry, evaluate_phase_function
@@ -95,7 +95,7 @@ def build_scattering_stack(
     Args:
         grid: the volume.
         camera: the view.
-        sun_direction: unit vector towards the sun `(3,)`.
+        sun_direction: towards the sun `(3,)`, of any length.
         asymmetry: nodes `(asymmetry,)`, rising, within +-0.999.
         extinction: nodes `(extinction,)` [1/m], rising, positive.
         effort: work to spend.
@@ -106,17 +106,15 @@ def build_scattering_stack(
         The tables; for a view without cloud they have no pixel.
 
     Raises:
-        ParameterError: for nodes outside their domain.
+        ParameterError: for nodes outside their domain, or a sun vector without direction.
     """
-    check_asymmetry(asymmetry)
-    if not bool((extinction > 0).all() & torch.isfinite(extinction).all() & (extinction.diff() > 0).all()):
-        raise ParameterError(f"extinction nodes must be positive, finite and rising, not {extinction.tolist()} 1/m")
+    _check_nodes(asymmetry, extinction)
+    sun = unit_direction(sun_direction)
     origin, direction = camera.rays()
     optical_length = compute_optical_length(grid, origin, direction)
     pixel = torch.nonzero(optical_length > 0).flatten()
     largest = float(optical_length.max())
     optical_depth = extinction * largest
-    sun = (sun_direction / torch.linalg.vector_norm(sun_direction)).to(torch.float32)
     view = _View(grid, camera, sun, origin[pixel], direction[pixel], largest)
     parts = []
     groups = _split_groups(optical_depth) if len(pixel) else []
@@ -127,6 +125,15 @@ def build_scattering_stack(
         report = _stage_reporter(on_progress, name)
         parts.append(_build_group(view, asymmetry, extinction[group], part_effort, seed * 64 + number, report))
     return _assemble(camera, pixel, optical_length, view, asymmetry, extinction, effort.orders, parts)
+
+
+def _check_nodes(asymmetry: Tensor, extinction: Tensor) -> None:
+    check_asymmetry(asymmetry)
+    for name, nodes in (("asymmetry", asymmetry), ("extinction", extinction)):
+        if nodes.ndim != 1 or len(nodes) == 0 or not bool((nodes.diff() > 0).all()):
+            raise ParameterError(f"the {name} nodes must be one or more rising numbers, not {nodes.tolist()}")
+    if not bool((extinction > 0).all() & torch.isfinite(extinction).all()):
+        raise ParameterError(f"extinction nodes must be positive and finite, not {extinction.tolist()} 1/m")
 
 
 def _stage_reporter(on_progress: Progress, name: str) -> Callable[[float], None]:
@@ -142,7 +149,7 @@ def _split_groups(optical_depth: Tensor) -> list[slice]:
 
 def _path_shares(optical_depth: Tensor, groups: list[slice]) -> list[float]:
     """Share of the paths for each group: by its number of nodes and by how much light is scattered more than once."""
-    weights = [float((1.0 - torch.exp(-optical_depth[group] / 10.0)).sum()) for group in groups]
+    weights = [float(-torch.expm1(-optical_depth[group].double() / 10.0).sum()) for group in groups]
     return [weight / sum(weights) for weight in weights]
 
 

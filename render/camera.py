@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from render.density_grid import DensityGrid
-from render.errors import CameraError
+from render.errors import CameraError, ParameterError
 
 Vector = tuple[float, float, float]
 
@@ -47,6 +47,19 @@ def direction_from_angles(azimuth: float, elevation: float) -> Vector:
     return (math.sin(azimuth) * horizontal, math.cos(azimuth) * horizontal, math.sin(elevation))
 
 
+def unit_direction(direction: Tensor) -> Tensor:
+    """Unit vector `(3,)`, float32, along a vector of any length.
+
+    Raises:
+        ParameterError: if the vector is not three finite numbers, or is zero.
+    """
+    vector = torch.as_tensor(direction, dtype=torch.float64)
+    length = torch.linalg.vector_norm(vector)
+    if vector.shape != (3,) or not bool(torch.isfinite(length) & (length > 0.0)):
+        raise ParameterError(f"a direction needs three finite numbers that are not all zero, not {vector.tolist()}")
+    return (vector / length).to(torch.float32)
+
+
 @dataclass(frozen=True)
 class PinholeCamera:
     """Perspective camera.
@@ -56,7 +69,7 @@ class PinholeCamera:
         target: point in the middle of the image [m].
         field_of_view: vertical opening angle [rad], between 0 and pi.
         width, height: pixel counts.
-        up: direction that points upwards in the image; replaced by north where the view is vertical.
+        up: direction that points upwards in the image; replaced by north, or else the zenith, where the view is along it.
 
     Raises:
         CameraError: if the numbers do not describe a view.
@@ -70,7 +83,7 @@ class PinholeCamera:
     up: Vector = (0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        _check_view(self.position, self.target, self.width, self.height)
+        _check_view(self.position, self.target, self.up, self.width, self.height)
         if not 0.0 < self.field_of_view < math.pi:
             raise CameraError(f"the field of view must lie between 0 and 180 degrees, not {self.field_of_view} rad")
 
@@ -105,7 +118,7 @@ class OrthographicCamera:
         target: point that the plane faces [m].
         view_height: extent of the image along its vertical [m].
         width, height: pixel counts.
-        up: direction that points upwards in the image; replaced by north where the view is vertical.
+        up: direction that points upwards in the image; replaced by north, or else the zenith, where the view is along it.
 
     Raises:
         CameraError: if the numbers do not describe a view.
@@ -119,7 +132,7 @@ class OrthographicCamera:
     up: Vector = (0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        _check_view(self.position, self.target, self.width, self.height)
+        _check_view(self.position, self.target, self.up, self.width, self.height)
         if not (self.view_height > 0.0 and math.isfinite(self.view_height)):
             raise CameraError(f"the view height must be positive, not {self.view_height} m")
 
@@ -173,7 +186,7 @@ def frame_volume(
     right, up, ahead = _view_frame((0.0, 0.0, 0.0), _vector(forward), (0.0, 0.0, 1.0))
     offsets = points - centre
     margin = 0.5 * float(grid.voxel_size.max())
-    vertical = torch.maximum((offsets @ up).abs(), (offsets @ right).abs() * (height / width)) + margin
+    vertical = torch.maximum((offsets @ up).abs() + margin, ((offsets @ right).abs() + margin) * (height / width))
     if orthographic:
         position = centre - forward * (distance if distance is not None else 2.0 * grid.radius)
         return OrthographicCamera(_vector(position), _vector(centre), 2.0 * float(vertical.max()), width, height)
@@ -189,9 +202,9 @@ def _vector(tensor: Tensor) -> Vector:
     return (x, y, z)
 
 
-def _check_view(position: Vector, target: Vector, width: int, height: int) -> None:
-    if not all(math.isfinite(v) for v in (*position, *target)):
-        raise CameraError(f"camera position {position} and target {target} must be finite")
+def _check_view(position: Vector, target: Vector, up: Vector, width: int, height: int) -> None:
+    if not all(math.isfinite(v) for v in (*position, *target, *up)):
+        raise CameraError(f"camera position {position}, target {target} and upward direction {up} must be finite")
     if math.dist(position, target) == 0.0:
         raise CameraError(f"camera position and target are the same point {position}; move one of them")
     if width < 1 or height < 1:
@@ -204,9 +217,10 @@ def _view_frame(position: Vector, target: Vector, up: Vector) -> tuple[Tensor, T
     """Orthonormal right, up and forward vectors, float64."""
     eye, middle = torch.tensor([position, target], dtype=torch.float64)
     forward = torch.nn.functional.normalize(middle - eye, dim=0)
-    right = torch.linalg.cross(forward, torch.tensor(up, dtype=torch.float64))
-    if torch.linalg.vector_norm(right) < 1e-9:
-        right = torch.linalg.cross(forward, torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64))
+    for upward in (up, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
+        right = torch.linalg.cross(forward, torch.tensor(upward, dtype=torch.float64))
+        if torch.linalg.vector_norm(right) > 1e-9:
+            break
     right = torch.nn.functional.normalize(right, dim=0)
     return right, torch.linalg.cross(right, forward), forward
 

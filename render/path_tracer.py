@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from render.camera import Camera
+from render.camera import Camera, unit_direction
 from render.density_grid import DensityGrid
 from render.errors import ParameterError
 from render.phase_functions import check_asymmetry, evaluate_phase_function, sample_directions
@@ -76,7 +76,7 @@ def trace_reference(
     Args:
         grid: the volume.
         camera: one ray through each pixel centre.
-        sun_direction: unit vector towards the sun `(3,)`.
+        sun_direction: towards the sun `(3,)`, of any length.
         extinction: of density one [1/m], not negative.
         asymmetry: of the Henyey-Greenstein phase function.
         albedo: single-scattering albedo in 0..1; enters the total only.
@@ -99,7 +99,7 @@ def trace_reference(
     near, far = grid.intersect(origin, direction)
     seen = torch.nonzero(far > near).flatten() if grid.maximum * extinction > 0.0 else torch.empty(0, dtype=torch.long)
     sums = _Sums(len(origin), orders)
-    medium = _Medium(grid, extinction, sun_direction.to(torch.float32))
+    medium = _Medium(grid, extinction, unit_direction(sun_direction))
     paths = len(seen) * samples
     for batch, first in enumerate(range(0, paths, LANES)):
         path = torch.arange(first, min(first + LANES, paths))
@@ -107,7 +107,7 @@ def trace_reference(
         start = origin[pixel] + near[pixel, None] * direction[pixel]
         generator = child_generator(seed, batch)
         _trace_batch(medium, pixel, start, direction[pixel], asymmetry, albedo, sums, generator)
-    return sums.finish(samples, seen)
+    return sums.finish(samples)
 
 
 class _Sums:
@@ -128,7 +128,7 @@ class _Sums:
         self.total_sum.index_add_(0, pixel, total)
         self.total_square.index_add_(0, pixel, total * total)
 
-    def finish(self, samples: int, seen: Tensor) -> ReferenceImage:
+    def finish(self, samples: int) -> ReferenceImage:
         def moments(total: Tensor, square: Tensor) -> tuple[Tensor, Tensor]:
             mean = total / samples
             variance = (square / samples - mean * mean).clamp(min=0.0) / (samples - 1)
@@ -182,7 +182,7 @@ def _fly(medium: _Medium, position: Tensor, direction: Tensor, generator: torch.
         travelled = distance[active] - torch.log1p(-random[0]) / medium.majorant
         distance[active] = travelled
         inside = travelled < far[active]
-        density = _density_along(medium.grid, position[active], direction[active], travelled)
+        density = _density_along(medium.grid, position[active], direction[active], travelled.minimum(far[active]))
         hit = inside & (random[1] * medium.grid.maximum < density)
         collided[active[hit]] = True
         active = active[inside & ~hit]
@@ -201,7 +201,7 @@ def _estimate_sun_transmittance(medium: _Medium, position: Tensor, generator: to
         travelled = distance[active] - torch.log1p(-random[0]) / medium.majorant
         distance[active] = travelled
         inside = travelled < far[active]
-        density = _density_along(medium.grid, position[active], direction[active], travelled)
+        density = _density_along(medium.grid, position[active], direction[active], travelled.minimum(far[active]))
         kept = torch.where(inside, transmittance[active] * (1.0 - density / medium.grid.maximum), transmittance[active])
         spent = inside & (kept < 0.01)
         survives = random[1] < 0.5
@@ -212,6 +212,9 @@ def _estimate_sun_transmittance(medium: _Medium, position: Tensor, generator: to
 
 
 def _density_along(grid: DensityGrid, position: Tensor, direction: Tensor, distance: Tensor) -> Tensor:
-    """Density `(ray,)` at a distance along each ray; points beyond the box are held at its border."""
+    """Density `(ray,)` at a distance along each ray; points beyond the box are held at its border.
+
+    The distance must be finite: a free flight in a very thin medium overflows, and infinity times a zero component is no number.
+    """
     x, y, z = grid.voxel_coordinates(position + distance[:, None] * direction).unbind(-1)
     return grid.table.look_up(x, y, z)
