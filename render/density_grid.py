@@ -122,7 +122,8 @@ class DensityGrid:
         Returns:
             `(near, far)`, each `(ray,)` [m], with `far <= near` for rays that miss; a ray that misses has `near == far`.
         """
-        parallel = direction == 0
+        # The inverse of anything smaller overflows, and infinity times zero is no number.
+        parallel = direction.abs() < torch.finfo(direction.dtype).tiny
         inverse = 1.0 / torch.where(parallel, 1.0, direction)
         first, second = (self.lower - origin) * inverse, (self.upper - origin) * inverse
         within = (origin >= self.lower) & (origin <= self.upper)
