@@ -13,7 +13,7 @@ from render.errors import PhotographError
 
 # Less cloud than this share of sky and cloud together is what stray highlights of a clear sky amount to, and too few
 # pixels for a histogram to be matched.
-MINIMUM_CLOUD_FRACTION = 0.02
+MINIMUM_CLOUD_FRACTION = 0.05
 
 
 class NoCloudError(PhotographError):

@@ -4,11 +4,12 @@ Blueness is chroma with a sign, (B - R) / (B + R): the paper tells clouds from s
 sunset for cloud and its dark clouds for sky. So the picture decides first what kind of sky it shows:
 
 - against a low sun the clear sky glows warm and varies smoothly along each row: clouds are the dark valleys in the rows;
-- a sky that is nowhere blue is overcast;
-- otherwise the clear sky is the smooth upper envelope of the blueness, and clouds fall short of it.
+- otherwise the clear sky is the smooth upper envelope of the blueness, and clouds fall short of it;
+- but a sky that is nowhere blue is overcast, and so is a rough one in which that outline runs along no edge.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -51,10 +52,20 @@ class _SkyView:
         total = cv2.GaussianBlur(values * weight, (0, 0), sigma_x, sigmaY=sigma_y)
         return total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma_x, sigmaY=sigma_y), 1e-3)
 
-    @property
+    @cached_property
     def log_grey(self) -> np.ndarray:
         """Logarithm of the display grey, so that contrasts count alike in light and shade."""
         return np.log(self.grey + DISPLAY_FLOOR)
+
+    @cached_property
+    def roughness(self) -> np.ndarray:
+        """Logarithm of the local contrast of structures of cloud size."""
+        return _log_contrast(self, self.blur(self.log_grey, FINE_SIGMA) - self.blur(self.log_grey, COARSE_SIGMA))
+
+
+def _log_contrast(view: _SkyView, detail: np.ndarray) -> np.ndarray:
+    """Logarithm of the local root mean square of a detail image."""
+    return np.log(np.sqrt(view.blur(detail**2, ROUGHNESS_SIGMA)) + ROUGHNESS_FLOOR)
 
 
 def find_clouds(display: np.ndarray, in_sky: np.ndarray) -> np.ndarray:
@@ -71,13 +82,15 @@ def find_clouds(display: np.ndarray, in_sky: np.ndarray) -> np.ndarray:
         return np.zeros_like(in_sky)
     view = _view(display, in_sky)
     if _glow_share(view) > LEAST_GLOW:
-        score = _darkness_score(view)
+        cloud = _silhouettes(view)
     else:
         envelope = _blueness_envelope(view)
-        if np.quantile(envelope[view.sky], OVERCAST_QUANTILE) < LEAST_BLUENESS:
+        cloud = _whiter(view, envelope)
+        if np.quantile(envelope[view.sky], OVERCAST_QUANTILE) < LEAST_BLUENESS or (
+            _outline_contrast(view, cloud) < LEAST_CONTRAST and np.median(view.roughness[view.sky]) > OVERCAST_ROUGHNESS
+        ):
             return in_sky.copy()
-        score = _whiteness_score(view, envelope)
-    return in_sky & _without_specks(refine_outline(display, score > 1.0))
+    return in_sky & _without_specks(refine_outline(display, cloud))
 
 
 def _view(display: np.ndarray, in_sky: np.ndarray) -> _SkyView:
@@ -105,8 +118,8 @@ LEAST_GLOW = 0.04
 def _glow_share(view: _SkyView) -> float:
     """Share of the sky that is warm and smooth along the row: the glow around a low sun."""
     row_detail = view.blur(view.log_grey, ROW_FINE_SIGMA, 0.5) - view.blur(view.log_grey, ROW_COARSE_SIGMA, 0.5)
-    roughness = np.log(np.sqrt(view.blur(row_detail**2, ROUGHNESS_SIGMA)) + ROUGHNESS_FLOOR)
-    glow = view.sky & (view.blueness < WARM_BLUENESS) & (roughness < GLOW_ROUGHNESS)
+    smooth = _log_contrast(view, row_detail) < GLOW_ROUGHNESS
+    glow = view.sky & (view.blueness < WARM_BLUENESS) & smooth
     return float(glow.sum() / view.sky.sum())
 
 
@@ -115,8 +128,8 @@ WIDEST_SILHOUETTE = 0.4
 SILHOUETTE_DEPTH = 0.15
 
 
-def _darkness_score(view: _SkyView) -> np.ndarray:
-    """Depth of the dark valleys in each row, over `SILHOUETTE_DEPTH`.
+def _silhouettes(view: _SkyView) -> np.ndarray:
+    """Dark valleys in the rows, deeper than `SILHOUETTE_DEPTH`.
 
     A morphological closing along the row fills every valley narrower than its window and leaves whatever rises to one
     maximum and falls again, such as the glow around the sun, the falling off to the corners, or a slope.
@@ -127,7 +140,7 @@ def _darkness_score(view: _SkyView) -> np.ndarray:
     # Room for the closing to reach beyond the picture: without it every slope at the edge would be a valley.
     padded = cv2.copyMakeBorder(brightness, 0, 0, half, half, cv2.BORDER_CONSTANT, value=outside)
     closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, np.ones((1, 2 * half + 1), np.uint8))[:, half:-half]
-    return np.where(view.sky, closed - brightness, 0.0) / SILHOUETTE_DEPTH
+    return view.sky & (closed - brightness > SILHOUETTE_DEPTH)
 
 
 # The envelope is the expectile of this order: one pixel above it weighs as much as thirty below. Rough pixels, which are
@@ -144,15 +157,18 @@ ENVELOPE_RIDGE = np.array([0.0, 2e-4, 2e-4, 2e-3, 2e-3])
 LEAST_BLUENESS = 0.07
 OVERCAST_QUANTILE = 0.9
 
+# Median slope of the blueness across the outline of real clouds [1/pixel at working size]: 5e-3 to 3e-2 where clear sky is
+# seen, 2e-3 to 4e-3 where the outline merely divides a rain cloud; and the roughness above which such a sky is no clear one.
+LEAST_CONTRAST = 4.5e-3
+OVERCAST_ROUGHNESS = -5.3
+
 
 def _blueness_envelope(view: _SkyView) -> np.ndarray:
     """Blueness that clear sky has, or would have, at each pixel: an upper expectile surface of low order."""
     height, width = view.sky.shape
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
     terms = np.stack([np.ones_like(x), x, y, x * x, y * y], axis=-1)
-    detail = view.blur(view.log_grey, FINE_SIGMA) - view.blur(view.log_grey, COARSE_SIGMA)
-    roughness = np.log(np.sqrt(view.blur(detail**2, ROUGHNESS_SIGMA)) + ROUGHNESS_FLOOR)
-    base = np.where(roughness < SMOOTH_ROUGHNESS, 1.0, ROUGH_WEIGHT)[view.sky]
+    base = np.where(view.roughness < SMOOTH_ROUGHNESS, 1.0, ROUGH_WEIGHT)[view.sky]
     rows, values = terms[view.sky].astype(np.float64), view.blueness[view.sky].astype(np.float64)
     weight = base
     for _ in range(ENVELOPE_ITERATIONS):
@@ -171,12 +187,24 @@ WHITER_LEAST = 0.03
 SHADE_SLOPE, SHADE_THRESHOLD = 0.5, 0.3
 
 
-def _whiteness_score(view: _SkyView, envelope: np.ndarray) -> np.ndarray:
-    """How far the blueness falls short of the envelope, over the shortfall that makes a cloud; shaded grey counts too."""
-    shortfall = (envelope - view.blueness) / np.maximum(WHITER_LEAST, WHITER_SHARE * envelope)
+def _whiter(view: _SkyView, envelope: np.ndarray) -> np.ndarray:
+    """Where the blueness falls short of the envelope, or is too small for a clear sky so dark."""
     white = max(float(np.quantile(view.grey[view.sky], 0.99)), DISPLAY_FLOOR)
     shaded = view.blueness < SHADE_SLOPE * (1.0 - view.grey / white - SHADE_THRESHOLD)
-    return np.where(shaded, np.maximum(shortfall, 2.0), shortfall)
+    return view.sky & (shaded | (envelope - view.blueness > np.maximum(WHITER_LEAST, WHITER_SHARE * envelope)))
+
+
+def _outline_contrast(view: _SkyView, cloud: np.ndarray) -> float:
+    """Median slope of the blueness along the outline of the clouds, away from the landscape; 0 without an outline."""
+    window = np.ones((3, 3), np.uint8)
+    values = cloud.astype(np.uint8)
+    inside = cv2.erode(view.sky.astype(np.uint8), window, iterations=4, borderType=cv2.BORDER_CONSTANT, borderValue=1)
+    outline = (cv2.dilate(values, window) != cv2.erode(values, window)) & inside.astype(bool)
+    if not outline.any():
+        return 0.0
+    # The 3 x 3 Sobel kernel sums to 8 per unit of slope.
+    slope = np.hypot(cv2.Sobel(view.blueness, cv2.CV_32F, 1, 0), cv2.Sobel(view.blueness, cv2.CV_32F, 0, 1)) / 8.0
+    return float(np.median(slope[outline]))
 
 
 # Clouds, and gaps in them, below this share of the picture are noise.

@@ -56,6 +56,9 @@ LIKENESS_WEIGHT = 2.0
 CERTAIN_DEPTH = 0.08
 CERTAIN_RISE = 0.03
 GRAPH_CUT_ITERATIONS = 4
+
+# The sky ends this share of the longest side before the landscape: pixels there are a mixture of both.
+SKY_MARGIN = 0.005
 LEAST_LANDSCAPE = 0.005
 
 
@@ -81,7 +84,10 @@ def find_sky(display: np.ndarray) -> np.ndarray:
     sky = _hanging_from_top(_cut(scene, _skyline(scene)))
     if sky.all():
         return np.ones(display.shape[:2], bool)
-    return refine_outline(display, sky)
+    margin = 2 * max(1, round(SKY_MARGIN * max(display.shape[:2]))) + 1
+    window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (margin, margin))
+    refined = refine_outline(display, sky).astype(np.uint8)
+    return cv2.erode(refined, window, borderType=cv2.BORDER_CONSTANT, borderValue=1).astype(bool)
 
 
 def _reduce(display: np.ndarray) -> _Scene:
