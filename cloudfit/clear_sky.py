@@ -78,8 +78,10 @@ def find_clouds(display: np.ndarray, in_sky: np.ndarray) -> np.ndarray:
     Returns:
         (height, width) bool, False outside the sky.
     """
+    # Near black there is no colour to judge by.
+    in_sky = in_sky & (display.mean(axis=2) > DISPLAY_FLOOR)
     if not in_sky.any():
-        return np.zeros_like(in_sky)
+        return in_sky
     view = _view(display, in_sky)
     if _glow_share(view) > LEAST_GLOW:
         cloud = _silhouettes(view)
@@ -179,7 +181,7 @@ def _blueness_envelope(view: _SkyView) -> np.ndarray:
 
 
 # Clouds fall short of the envelope by this share of it, and by this much at least (noise, haze).
-WHITER_SHARE = 0.4
+WHITER_SHARE = 0.33
 WHITER_LEAST = 0.03
 
 # Clear sky far below white is saturated (Rayleigh); a grey that dark is a cloud in shade. Blueness asked for per darkness

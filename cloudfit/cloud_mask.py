@@ -103,13 +103,13 @@ def read_user_mask(path: Path | str, size: tuple[int, int]) -> Tensor:
     """
     stored = read_mask_png(path)
     height, width = size
-    for have, wanted in ((stored.shape[0] * width, stored.shape[1] * height),):
-        slack = max(stored.shape[0], stored.shape[1], height, width)
-        if max(have, wanted) > ASPECT_TOLERANCE * min(have, wanted) + slack:
-            raise InputError(
-                f"{path}: expected a mask in the shape of the photograph ({width} x {height} pixels), "
-                f"got {stored.shape[1]} x {stored.shape[0]}; draw it on the photograph itself"
-            )
+    # Side by side in cross products, with a pixel of slack for the rounding of a reduced size.
+    products = stored.shape[0] * width, stored.shape[1] * height
+    if max(products) > ASPECT_TOLERANCE * min(products) + max(*stored.shape, height, width):
+        raise InputError(
+            f"{path}: expected a mask in the shape of the photograph ({width} x {height} pixels), "
+            f"got {stored.shape[1]} x {stored.shape[0]}; draw it on the photograph itself"
+        )
     levels = set(np.unique(stored).tolist())
     wrong = sorted(levels - set(FILE_LABELS))
     if wrong:

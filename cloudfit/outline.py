@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 # Radius of the guided filter as a share of the longest side, and the variance of display values that counts as an edge.
-OUTLINE_RADIUS = 0.008
+OUTLINE_RADIUS = 0.003
 OUTLINE_VARIANCE = 1e-4
 
 

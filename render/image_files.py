@@ -189,18 +189,25 @@ def _to_linear(path: Path, stored: np.ndarray, curve: Curve, original_size: tupl
     channels = 1 if stored.ndim == 2 else stored.shape[2]
     if channels not in (1, 3, 4):
         raise PhotographError(f"{path}: expected a grey, RGB or RGBA image, got {channels} channels")
-    linear_source = stored.dtype == np.float32
-    values = torch.from_numpy(stored.astype(np.float32) / (1.0 if linear_source else np.iinfo(stored.dtype).max))
-    values = values.reshape(*stored.shape[:2], channels)
-    colours = values.expand(-1, -1, 3) if channels == 1 else values[..., [2, 1, 0]]
     encoded = curve is Curve.SRGB or (curve is Curve.UNTAGGED and stored.dtype == np.uint8)
+    light = stored if stored.ndim == 3 else stored[..., None]
+    colours = torch.from_numpy(np.ascontiguousarray(light[..., [2, 1, 0] if channels > 1 else [0, 0, 0]]))
+    linear_source = stored.dtype == np.float32
+    full_scale = 1.0 if linear_source else float(np.iinfo(stored.dtype).max)
     return ImageFile(
-        pixels=srgb_to_linear(colours) if encoded else colours.contiguous(),
-        alpha=values[..., 3].clamp(0.0, 1.0) if channels == 4 else None,
+        pixels=colours if linear_source else _light_table(stored.dtype, encoded)[colours.to(torch.int64)],
+        alpha=torch.from_numpy(light[..., 3] / np.float32(full_scale)).clamp(0.0, 1.0) if channels == 4 else None,
         bit_depth=8 * stored.dtype.itemsize,
         linear_source=linear_source,
         original_size=original_size,
     )
+
+
+def _light_table(dtype: np.dtype, encoded: bool) -> Tensor:
+    """Linear light of every integer of the type; from a table, equal numbers become equal light to the last bit."""
+    count = np.iinfo(dtype).max + 1
+    values = torch.arange(count, dtype=torch.float32) / (count - 1)
+    return srgb_to_linear(values[:, None].expand(-1, 3))[:, 0] if encoded else values
 
 
 def write_png(path: Path | str, linear: Tensor, display_curve: str = "srgb", bits: int = 8) -> None:
