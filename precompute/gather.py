@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from render.density_grid import DensityGrid
-from render.ray_march import march_rays, ray_chunks
+from render.ray_march import interpolate_in_rows, locate_in_rows, march_rays, ray_chunks
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,18 +107,8 @@ def gather_bags(
         for node, s in enumerate(extinction.double()):
             opacity = -torch.expm1(-s * profile.total.double())
             target = (-torch.log1p(-midpoints * opacity[:, None]) / s).to(torch.float32)
-            distance = _invert(profile.optical_length, profile.distance, target)
+            distance = interpolate_in_rows(profile.distance, *locate_in_rows(profile.optical_length, target))
             points = origin[rays, None] + distance[..., None] * direction[rays, None]
             numbers, weights = lattice.corners(points)
             weights = weights * (opacity[:, None, None] / strata).to(torch.float32)
             yield Bags(rays, node, numbers.flatten(1), weights.flatten(1))
-
-
-def _invert(optical_length: Tensor, distance: Tensor, target: Tensor) -> Tensor:
-    """Distance `(ray, stratum)` [m] at which each optical length is reached, linear between the edges of the profile."""
-    upper = torch.searchsorted(optical_length, target).clamp(1, optical_length.shape[1] - 1)
-    lower = upper - 1
-    u0, u1 = optical_length.gather(1, lower), optical_length.gather(1, upper)
-    t0, t1 = distance.gather(1, lower), distance.gather(1, upper)
-    fraction = ((target - u0) / (u1 - u0).clamp(min=1e-30)).clamp(0.0, 1.0)
-    return t0 + fraction * (t1 - t0)

@@ -37,6 +37,9 @@ SMALLEST_STEP, LARGEST_STEP = 0.25, 1.0
 THICK_SPACING = 0.5
 """Closest lattice in voxels: pixels and density vary over a voxel, not over less."""
 
+SECTIONS_PER_STRATUM = 2
+"""Single scattering is cut finer than the source points' strata: it has no noise to hide behind."""
+
 LARGEST_LATTICE = 1 << 24
 """Lattice points that may be numbered, whether or not they are used."""
 
@@ -171,7 +174,8 @@ def _build_group(
     """Single scattering `(extinction, pixel)` and both halves of the orders `(half, order, asymmetry, extinction, pixel)`."""
     voxel_depth = float(extinction[-1]) * view.grid.maximum * float(view.grid.voxel_size.min())
     step = min(max(STEP_DEPTH / voxel_depth, SMALLEST_STEP), LARGEST_STEP)
-    single = compute_single_scattering(view.grid, view.origin, view.direction, view.sun, extinction, step)
+    sections = SECTIONS_PER_STRATUM * effort.strata
+    single = compute_single_scattering(view.grid, view.origin, view.direction, view.sun, extinction, step, sections)
     report(0.1)
     lattice, points = _place_points(view, extinction, effort)
     anchors = extinction[extinction * view.largest_optical_length >= THINNEST_ANCHOR]

@@ -2,21 +2,31 @@
 
     S1(s) = integral of s rho(t) exp(-s (u(t) + u_sun(t))) dt                       (Dobashi et al. 2012, equation 5)
 
-u is the optical length from the camera, u_sun the one to the sun. Both are taken as linear over a step, which makes the integral of
-the step elementary: with d = s |du + du_sun|, the factor (1 - exp(-d)) / d stands for the falling exponential and is 1 at d = 0. It is
-taken from the end of the step that more light reaches, so that no exponential can overflow.
+u is the optical length from the camera, u_sun the one to the sun. Only u_sun is dear, a march of its own, so a ray is cut into few
+sections, each with an equal share of what the ray absorbs on average over the extinctions. Within a section u_sun is taken as linear
+in u, which makes its integral elementary: with d = s |du + du_sun|, the factor (1 - exp(-d)) / d stands for the falling exponential and
+is 1 at d = 0. It is taken from the end of the section that more light reaches, so that no exponential can overflow.
 """
 
 import torch
 from torch import Tensor
 
-from precompute.free_flight import DARKEST_DEPTH, march_to_sun
+from precompute.free_flight import march_to_sun
 from render.density_grid import DensityGrid
-from render.ray_march import RayProfile, march_rays, ray_chunks
+from render.ray_march import RayProfile, interpolate_in_rows, locate_in_rows, march_rays, ray_chunks
+
+LAST_SHARE = 1.0 - 1e-6
+"""Share of the absorption at which the last section ends: still within the cloud, not beyond it where u_sun means nothing."""
 
 
 def compute_single_scattering(
-    grid: DensityGrid, origin: Tensor, direction: Tensor, sun_direction: Tensor, extinction: Tensor, step: float
+    grid: DensityGrid,
+    origin: Tensor,
+    direction: Tensor,
+    sun_direction: Tensor,
+    extinction: Tensor,
+    step: float,
+    sections: int = 32,
 ) -> Tensor:
     """Single-scattering integral S1 of rays.
 
@@ -25,53 +35,57 @@ def compute_single_scattering(
         origin: ray origins `(ray, 3)` [m].
         direction: unit directions `(ray, 3)`.
         sun_direction: unit vector towards the sun `(3,)`.
-        extinction: coefficients `(extinction,)` [1/m].
-        step: longest step in voxels.
+        extinction: coefficients `(extinction,)` [1/m], rising, positive; the more alike, the better the sections suit all.
+        step: longest step in voxels on the way to the sun.
+        sections: of each ray.
 
     Returns:
         S1 `(extinction, ray)`, dimensionless; times albedo, phase function and sunlight it is the radiance.
     """
     parts = [
-        _integrate_rays(grid, origin[rays], direction[rays], sun_direction, extinction, step)
-        for rays in ray_chunks(grid, len(origin), step)
+        _integrate_rays(grid, origin[rays], direction[rays], sun_direction, extinction, step, sections)
+        for rays in ray_chunks(grid, len(origin))
     ]
     return torch.cat(parts, dim=1) if parts else torch.zeros(len(extinction), 0)
 
 
 def _integrate_rays(
-    grid: DensityGrid, origin: Tensor, direction: Tensor, sun_direction: Tensor, extinction: Tensor, step: float
-) -> Tensor:
-    profile = march_rays(grid, origin, direction, step)
-    sun_length = _sun_optical_length(grid, origin, direction, sun_direction, profile, extinction[0], step)
-    lit = profile.optical_length + sun_length
-    growth, change = profile.optical_length.diff(dim=1), lit.diff(dim=1).abs()
-    nearer = torch.minimum(lit[:, :-1], lit[:, 1:])
-    integrals = []
-    for s in extinction:
-        steps = s * growth * torch.exp(-s * nearer) * _mean_falloff(s * change)
-        integrals.append(steps.sum(1, dtype=torch.float64))
-    return torch.stack(integrals).to(torch.float32)
-
-
-def _sun_optical_length(
     grid: DensityGrid,
     origin: Tensor,
     direction: Tensor,
     sun_direction: Tensor,
-    profile: RayProfile,
-    smallest_extinction: Tensor,
+    extinction: Tensor,
     step: float,
+    sections: int,
 ) -> Tensor:
-    """Optical length to the sun at the edges of a profile `(ray, edge)` [m]; only where a step next to it can be seen and holds cloud."""
-    visible = profile.optical_length[:, :-1] * smallest_extinction < DARKEST_DEPTH
-    counts = visible & (profile.optical_length.diff(dim=1) > 0)
-    needed = torch.nn.functional.pad(counts, (1, 0)) | torch.nn.functional.pad(counts, (0, 1))
-    ray, edge = torch.nonzero(needed).unbind(1)
-    points = origin[ray] + profile.distance[ray, edge, None] * direction[ray]
-    result = torch.zeros_like(profile.distance)
-    for part in torch.arange(len(ray)).split(1 << 16):
-        result[ray[part], edge[part]] = march_to_sun(grid, points[part], sun_direction, smallest_extinction, step)
-    return result
+    distance, optical_length = _cut_into_sections(march_rays(grid, origin, direction), extinction, sections)
+    points = origin[:, None] + distance[..., None] * direction[:, None]
+    sun_length = torch.cat(
+        [march_to_sun(grid, part, sun_direction, extinction[0], step) for part in points.reshape(-1, 3).split(1 << 16)]
+    ).reshape(distance.shape)
+    lit = optical_length + sun_length
+    growth, change = optical_length.diff(dim=1), lit.diff(dim=1).abs()
+    nearer = torch.minimum(lit[:, :-1], lit[:, 1:])
+    integrals = []
+    for s in extinction:
+        contributions = s * growth * torch.exp(-s * nearer) * _mean_falloff(s * change)
+        integrals.append(contributions.sum(1, dtype=torch.float64))
+    return torch.stack(integrals).to(torch.float32)
+
+
+def _cut_into_sections(profile: RayProfile, extinction: Tensor, sections: int) -> tuple[Tensor, Tensor]:
+    """Distances and optical lengths `(ray, edge)` [m] between which a ray absorbs equal shares."""
+    depth = profile.optical_length.double()
+    absorbed = torch.zeros_like(depth)
+    for s in extinction.double():
+        opacity = -torch.expm1(-s * depth)
+        absorbed += opacity / opacity[:, -1:].clamp(min=1e-300) / len(extinction)
+    share = torch.linspace(0.0, 1.0, sections + 1, dtype=torch.float64, device=depth.device)
+    share[-1] = LAST_SHARE
+    cell, fraction = locate_in_rows(absorbed, share.expand(len(depth), -1))
+    optical_length = interpolate_in_rows(profile.optical_length, cell, fraction)
+    optical_length[:, -1] = profile.total
+    return interpolate_in_rows(profile.distance, cell, fraction), optical_length
 
 
 def _mean_falloff(depth: Tensor) -> Tensor:

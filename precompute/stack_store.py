@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass, fields
-from importlib.metadata import version
 from pathlib import Path
 
 import torch
@@ -104,7 +103,6 @@ def save_stack(path: Path, tables: ScatteringTables, key: str, provenance: dict[
         **provenance,
         "width": tables.width,
         "height": tables.height,
-        "cloudfit": version("cloudfit"),
         "torch": torch.__version__,
     }
     save_tables(path, tensors, about, key)

@@ -77,3 +77,26 @@ def compute_optical_length(grid: DensityGrid, origin: Tensor, direction: Tensor,
         march_rays(grid, origin[rays], direction[rays], step).total for rays in ray_chunks(grid, len(origin), step)
     ]
     return torch.cat(parts) if parts else origin.new_zeros(0)
+
+
+def locate_in_rows(known: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+    """Cell and fraction at which each row of rising values reaches its targets.
+
+    Args:
+        known: never falling along each row `(ray, edge)`.
+        target: values to look for `(ray, target)`, from the row's first value up.
+
+    Returns:
+        Number of the edge before each target, and the fraction of the way to the next `(ray, target)`. A target that a row
+        reaches on a flat stretch is located at the end of the stretch.
+    """
+    after = torch.searchsorted(known.contiguous(), target.contiguous(), right=True).clamp(1, known.shape[1] - 1)
+    cell = after - 1
+    low, high = known.gather(1, cell), known.gather(1, after)
+    return cell, ((target - low) / (high - low).clamp(min=1e-30)).clamp(0.0, 1.0)
+
+
+def interpolate_in_rows(values: Tensor, cell: Tensor, fraction: Tensor) -> Tensor:
+    """Values `(ray, target)` at places found by `locate_in_rows`, linear between the edges of `values` `(ray, edge)`."""
+    low = values.gather(1, cell)
+    return low + fraction.to(values.dtype) * (values.gather(1, cell + 1) - low)
