@@ -272,7 +272,7 @@ def _fit(
     space = source.stages.space(analysis, stack, question.options)
     seconds = clock.laps(fit.seconds)
     if source.report is not None:
-        seconds["stack, once for all photographs"] = source.report.seconds
+        seconds["stack"] = source.report.seconds
     document = describe_fit(fit, space, Circumstances(job.photograph, job.mask, question, seconds))
     write_fit(job.folder, fit, document, token)
     return outcome_from_document(job, document)

@@ -80,7 +80,9 @@ def convergence_figure(history: Sequence[float | None], floor: float | None) -> 
             axes.annotate(
                 f"floor {floor:.3f}", (1, floor), (-4, 4), ("axes fraction", "data"), "offset points", ha="right"
             )
-        axes.set(xlabel="iteration", ylabel="best loss", ylim=(0, None), xlim=(1, max(2, len(losses))))
+        known = losses[np.isfinite(losses)]
+        top = 1.1 * max(float(known.max(initial=0.0)), floor or 0.0)
+        axes.set(xlabel="iteration", ylabel="best loss", ylim=(0, top or 1.0), xlim=(1, max(2, len(losses))))
         _rule(axes)
         return _to_svg(figure, "Best loss after each iteration")
 

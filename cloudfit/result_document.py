@@ -99,7 +99,6 @@ def describe_fit(fit: PhotographFit, space: SearchSpace, circumstances: Circumst
         "iterations": fit.iterations,
         "history": [finite_or_none(loss) for loss in fit.history],
     }
-    document["seconds"] = {**fit.seconds, **document["seconds"]}
     document["warnings"] = list(fit.warnings)
     return document
 
