@@ -99,6 +99,7 @@ def replaced_folder(folder: Path, token: str) -> Iterator[Path]:
         raise ResultError(f"{folder}: expected a folder for the results, found a file; move it or choose another --out")
     temporary = folder.with_name(f".{folder.name}.{token}.part")
     _remove_leftovers(folder)
+    shutil.rmtree(temporary, ignore_errors=True)  # of a writer with our token that was killed
     temporary.mkdir()
     try:
         yield temporary

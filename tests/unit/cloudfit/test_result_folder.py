@@ -107,6 +107,15 @@ def test_only_own_and_abandoned_leftovers_are_removed(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"photo", ".photo.theirs.part"}
 
 
+def test_a_writer_with_the_same_token_takes_over_from_one_that_was_killed(tmp_path: Path) -> None:
+    leftover = tmp_path / ".photo.token.part"
+    leftover.mkdir()
+    (leftover / "half").touch()
+    write_small_fit(tmp_path / "photo")
+    assert not leftover.exists()
+    assert not (tmp_path / "photo" / "half").exists()
+
+
 def test_folders_have_the_stems_and_collisions_whole_names() -> None:
     paths = [Path(name) for name in ("x/a.jpg", "x/a.png", "x/b.jpg", "y/A.jpg", "x/index.html.png")]
     assert list(folder_names(paths).values()) == ["a.jpg", "a.png", "b", "A.jpg-2", "index.html.png"]
