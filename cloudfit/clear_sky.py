@@ -14,9 +14,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from cloudfit.outline import refine_outline
-
-# Longest side at which clouds are told from clear sky [pixel]; the outline is refined at full size afterwards.
+# Longest side at which clouds are told from clear sky [pixel]; the scores are interpolated to full size.
 WORKING_SIDE = 512
 
 # Display values below which neither a colour nor a logarithm means anything (sensor noise, compression).
@@ -84,15 +82,14 @@ def find_clouds(display: np.ndarray, in_sky: np.ndarray) -> np.ndarray:
         return in_sky
     view = _view(display, in_sky)
     if _glow_share(view) > LEAST_GLOW:
-        cloud = _silhouettes(view)
+        score = _silhouette_score(view)
     else:
         envelope = _blueness_envelope(view)
-        cloud = _whiter(view, envelope)
-        if np.quantile(envelope[view.sky], OVERCAST_QUANTILE) < LEAST_BLUENESS or (
-            _outline_contrast(view, cloud) < LEAST_CONTRAST and np.median(view.roughness[view.sky]) > OVERCAST_ROUGHNESS
-        ):
-            return in_sky.copy()
-    return in_sky & _without_specks(refine_outline(display, cloud))
+        score = _whiteness_score(view, envelope)
+        if _is_overcast(view, envelope, score > 1.0):
+            return in_sky
+    height, width = in_sky.shape
+    return in_sky & _without_specks(cv2.resize(score, (width, height), interpolation=cv2.INTER_LINEAR) > 1.0)
 
 
 def _view(display: np.ndarray, in_sky: np.ndarray) -> _SkyView:
@@ -130,8 +127,8 @@ WIDEST_SILHOUETTE = 0.4
 SILHOUETTE_DEPTH = 0.15
 
 
-def _silhouettes(view: _SkyView) -> np.ndarray:
-    """Dark valleys in the rows, deeper than `SILHOUETTE_DEPTH`.
+def _silhouette_score(view: _SkyView) -> np.ndarray:
+    """Depth of the dark valleys in the rows, 1 at `SILHOUETTE_DEPTH`.
 
     A morphological closing along the row fills every valley narrower than its window and leaves whatever rises to one
     maximum and falls again, such as the glow around the sun, the falling off to the corners, or a slope.
@@ -142,7 +139,7 @@ def _silhouettes(view: _SkyView) -> np.ndarray:
     # Room for the closing to reach beyond the picture: without it every slope at the edge would be a valley.
     padded = cv2.copyMakeBorder(brightness, 0, 0, half, half, cv2.BORDER_CONSTANT, value=outside)
     closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, np.ones((1, 2 * half + 1), np.uint8))[:, half:-half]
-    return view.sky & (closed - brightness > SILHOUETTE_DEPTH)
+    return np.where(view.sky, closed - brightness, 0.0).astype(np.float32) / SILHOUETTE_DEPTH
 
 
 # The envelope is the expectile of this order: one pixel above it weighs as much as thirty below. Rough pixels, which are
@@ -189,11 +186,21 @@ WHITER_LEAST = 0.03
 SHADE_SLOPE, SHADE_THRESHOLD = 0.5, 0.3
 
 
-def _whiter(view: _SkyView, envelope: np.ndarray) -> np.ndarray:
-    """Where the blueness falls short of the envelope, or is too small for a clear sky so dark."""
+def _whiteness_score(view: _SkyView, envelope: np.ndarray) -> np.ndarray:
+    """How far the blueness falls short of the envelope, or of what a clear sky so dark would have; clouds exceed 1."""
     white = max(float(np.quantile(view.grey[view.sky], 0.99)), DISPLAY_FLOOR)
-    shaded = view.blueness < SHADE_SLOPE * (1.0 - view.grey / white - SHADE_THRESHOLD)
-    return view.sky & (shaded | (envelope - view.blueness > np.maximum(WHITER_LEAST, WHITER_SHARE * envelope)))
+    shortfall = (envelope - view.blueness) / np.maximum(WHITER_LEAST, WHITER_SHARE * envelope)
+    shade = SHADE_SLOPE * (1.0 - view.grey / white - SHADE_THRESHOLD)
+    shaded = 1.0 + (shade - view.blueness) / WHITER_LEAST
+    return np.where(view.sky, np.maximum(shortfall, shaded), 0.0).astype(np.float32)
+
+
+def _is_overcast(view: _SkyView, envelope: np.ndarray, cloud: np.ndarray) -> bool:
+    """Whether the sky shows no clear part: nowhere blue, or rough with no edge where blue would turn to white."""
+    if np.quantile(envelope[view.sky], OVERCAST_QUANTILE) < LEAST_BLUENESS:
+        return True
+    rough = float(np.median(view.roughness[view.sky])) > OVERCAST_ROUGHNESS
+    return rough and _outline_contrast(view, cloud) < LEAST_CONTRAST
 
 
 def _outline_contrast(view: _SkyView, cloud: np.ndarray) -> float:

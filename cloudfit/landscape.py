@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from cloudfit.outline import refine_outline
-
 # Longest side at which sky and landscape are told apart [pixel]; the outline is refined at full size afterwards.
 WORKING_SIDE = 320
 
@@ -53,13 +51,19 @@ LIKENESS_WEIGHT = 2.0
 
 # Everything farther below the skyline than this share of the height is certain landscape for the graph cut, and what is
 # that far above it and no masonry is certain sky: dark clouds at sunset resemble the land.
-CERTAIN_DEPTH = 0.08
-CERTAIN_RISE = 0.03
+CERTAIN_DISTANCE = 0.08
 GRAPH_CUT_ITERATIONS = 4
+
+# Smaller certain landscape than this share of the picture teaches the graph cut nothing.
+LEAST_LANDSCAPE = 0.005
+
+# Guided filter that draws the outline along the edges of the full-size picture: its radius as a share of the longest side,
+# and the variance of display values that counts as an edge.
+OUTLINE_RADIUS = 0.008
+OUTLINE_VARIANCE = 1e-4
 
 # The sky ends this share of the longest side before the landscape: pixels there are a mixture of both.
 SKY_MARGIN = 0.005
-LEAST_LANDSCAPE = 0.005
 
 
 @dataclass(frozen=True)
@@ -84,10 +88,7 @@ def find_sky(display: np.ndarray) -> np.ndarray:
     sky = _hanging_from_top(_cut(scene, _skyline(scene)))
     if sky.all():
         return np.ones(display.shape[:2], bool)
-    margin = 2 * max(1, round(SKY_MARGIN * max(display.shape[:2]))) + 1
-    window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (margin, margin))
-    refined = refine_outline(display, sky).astype(np.uint8)
-    return cv2.erode(refined, window, borderType=cv2.BORDER_CONSTANT, borderValue=1).astype(bool)
+    return _refine_outline(display, sky)
 
 
 def _reduce(display: np.ndarray) -> _Scene:
@@ -186,8 +187,8 @@ def _cut(scene: _Scene, skyline: np.ndarray | None) -> np.ndarray:
     else:
         depth = np.arange(height)[:, None] - skyline
         start[depth >= 0] = cv2.GC_PR_BGD
-        start[depth > CERTAIN_DEPTH * height] = cv2.GC_BGD
-        start[(depth < -CERTAIN_RISE * height) & (patches < MASONRY_TEXTURE)] = cv2.GC_FGD
+        start[depth > CERTAIN_DISTANCE * height] = cv2.GC_BGD
+        start[(depth < -CERTAIN_DISTANCE * height) & (patches < MASONRY_TEXTURE)] = cv2.GC_FGD
     certain = start == cv2.GC_BGD
     if certain.mean() < LEAST_LANDSCAPE or (start & 1).mean() < LEAST_LANDSCAPE:
         return (start & 1).astype(bool)
@@ -212,3 +213,14 @@ def _hanging_from_top(sky: np.ndarray) -> np.ndarray:
     _, parts = cv2.connectedComponents(sky.astype(np.uint8), connectivity=4)
     hanging = np.unique(parts[0])
     return sky & np.isin(parts, hanging[hanging > 0])
+
+
+def _refine_outline(display: np.ndarray, sky: np.ndarray) -> np.ndarray:
+    """Sky at full size: its outline drawn to the nearest edge, then drawn back by the margin."""
+    height, width = display.shape[:2]
+    coarse = cv2.resize(sky.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    radius = max(2, round(OUTLINE_RADIUS * max(height, width)))
+    refined = (cv2.ximgproc.guidedFilter(display, coarse, radius, OUTLINE_VARIANCE) > 0.5).astype(np.uint8)
+    margin = 2 * max(1, round(SKY_MARGIN * max(height, width))) + 1
+    window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (margin, margin))
+    return cv2.erode(refined, window, borderType=cv2.BORDER_CONSTANT, borderValue=1).astype(bool)

@@ -100,7 +100,7 @@ def list_photographs(paths: Path | str | Iterable[Path | str]) -> list[Path]:
     found: set[Path] = set()
     for path in map(Path, named):
         if path.is_dir():
-            inside = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+            inside = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and _is_visible_file(p)]
             if not inside:
                 raise PhotographError(f"{path}: expected a folder with photographs, found no image file in it")
             found.update(inside)
@@ -109,3 +109,7 @@ def list_photographs(paths: Path | str | Iterable[Path | str]) -> list[Path]:
         else:
             raise PhotographError(f"{path}: no such file or folder; check the name")
     return sorted(found)
+
+
+def _is_visible_file(path: Path) -> bool:
+    return path.is_file() and not path.name.startswith(".")
