@@ -5,6 +5,7 @@
 The air's optical depth enters each channel alone, so its linear search is 11 x 3 histograms a candidate, not 11^3.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,10 +19,17 @@ from cloudfit.fit_types import AIR_DEPTHS
 from cloudfit.losses import LOSSES, l1_floor
 from cloudfit.parameters import Ambient, SearchSpace, cloud_search_space
 from render.cloud_image import Lighting, compose_cloud
+from render.phase_functions import evaluate_phase_function
 from render.scattering_stack import CloudLayers, ScatteringStack
 
 FAINTEST_SHARE = 0.02
 """Pixels whose optical length is a smaller share of the largest are fringes that no mask would call cloud."""
+
+SUNLIGHT_HEADROOM = 2.0
+"""Brightest reachable grey over the photograph's: room for an albedo below one and for air in front."""
+
+SUNLIGHT_SPAN = 1000.0
+"""Strongest over weakest sunlight that is searched."""
 
 POPULATION_CHUNK = 32
 """Candidates composed at once; bounds the memory."""
@@ -71,6 +79,22 @@ def visible_share(optical_length: Tensor) -> Tensor:
     return optical_length > FAINTEST_SHARE * optical_length.max()
 
 
+def brightest_radiance(stack: ScatteringStack) -> float:
+    """Radiance of the cloud's bright parts for unit sunlight and albedo one, at the asymmetry that is worst off.
+
+    The 95th percentile over the pixels is taken at each node, then the largest over extinction and the smallest over asymmetry: a
+    thin cloud could only reach the same with a sun that no thick one needs.
+    """
+    tables = stack.tables
+    rank = max(1, math.ceil(0.95 * len(tables.pixel)))
+    brightest = []
+    for number, asymmetry in enumerate(tables.asymmetry):
+        phase = evaluate_phase_function(tables.cos_sun, asymmetry)
+        total = phase * tables.single + tables.multiple[:, number].sum(0)
+        brightest.append(float(total.kthvalue(rank, dim=1).values.max()))
+    return max(min(brightest), 1e-12)
+
+
 @dataclass(frozen=True, eq=False)
 class FitProblem:
     """Losses of whole populations in the unit cube.
@@ -89,13 +113,22 @@ class FitProblem:
 
     @cached_property
     def space(self) -> SearchSpace:
-        """The searched parameters."""
-        nodes = self.stack.tables.asymmetry
-        asymmetry_range = (float(nodes[0]), float(nodes[-1]))
-        extinction_range = (float(self.stack.tables.extinction[0]), float(self.stack.tables.extinction[-1]))
+        """The searched parameters; sunlight just strong enough for the photograph's brightest cloud at every asymmetry."""
+        tables = self.stack.tables
+        strongest = SUNLIGHT_HEADROOM * self._brightest_grey / brightest_radiance(self.stack)
         return cloud_search_space(
-            self.stack.tables.largest_optical_length, self.ambient, extinction_range, asymmetry_range=asymmetry_range
+            tables.largest_optical_length,
+            self.ambient,
+            (float(tables.extinction[0]), float(tables.extinction[-1])),
+            (float(tables.asymmetry[0]), float(tables.asymmetry[-1])),
+            (strongest / SUNLIGHT_SPAN, strongest),
         )
+
+    @cached_property
+    def _brightest_grey(self) -> float:
+        """99th percentile of the photograph's grey cloud pixels, at most display white."""
+        grey = self.analysis.photograph.pixels[self.analysis.mask.cloud].mean(1).clamp(0.0, 1.0)
+        return max(float(grey.kthvalue(math.ceil(0.99 * len(grey))).values), 1.0 / 255.0)
 
     @cached_property
     def target(self) -> Tensor:
