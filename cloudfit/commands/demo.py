@@ -1,4 +1,4 @@
-"""`cloudfit demo`: the whole way on photographs that the program renders itself."""
+"""`cloudfit demo`: the whole way on photographs that the project renders itself."""
 
 from pathlib import Path
 from typing import Annotated
@@ -28,9 +28,9 @@ def demo(
     verbose: o.Verbose = False,
     json: o.AsJson = False,
 ) -> None:
-    """Render example photographs, fit the procedural cumulus to them, and say where the page is.
+    """Fit the procedural cumulus to example photographs, and say where the page is.
 
-    The examples are no real photographs: the reference path tracer renders them under a simple sky.
+    The examples are no real photographs: they were rendered by the reference path tracer under a simple sky.
     """
     speaker = Speaker(quiet, verbose)
     scene = o.SceneChoice(camera_width=DEMO_WIDTH, camera_height=DEMO_HEIGHT)
@@ -41,10 +41,8 @@ def demo(
 
         limit_threads(available_cores())
         examples = out / "photographs"
-        examples.mkdir(parents=True, exist_ok=True)
-        with speaker.progress() as bars:
-            photographs = write_examples(examples, seed, bars.stage)
-        speaker.say(f"{len(photographs)} example photographs, rendered by this program, are in {examples}")
+        photographs = write_examples(examples)
+        speaker.say(f"{len(photographs)} example photographs, rendered by this project itself, are in {examples}")
         settings = BatchSettings(out / "results")
         report = run_batch(photographs, {}, scene, search, settings, speaker)
         raise typer.Exit(tell_report(report, settings, speaker, json))

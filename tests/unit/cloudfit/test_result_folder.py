@@ -88,9 +88,14 @@ def test_a_file_in_the_way_is_not_touched(tmp_path: Path) -> None:
 def test_an_error_while_writing_leaves_the_old_result(tmp_path: Path) -> None:
     folder = tmp_path / "photo"
     document = write_small_fit(folder)
-    with pytest.raises(ZeroDivisionError), replaced_folder(folder, "token") as temporary:
-        (temporary / "result.json").write_text("{")
-        raise ZeroDivisionError
+
+    def write_badly() -> None:
+        with replaced_folder(folder, "token") as temporary:
+            (temporary / "result.json").write_text("{")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_badly()
     assert read_result(folder) == document
     assert not list(tmp_path.glob(".*"))
 
