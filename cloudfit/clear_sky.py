@@ -3,9 +3,9 @@
 Blueness is chroma with a sign, (B - R) / (B + R): the paper tells clouds from sky by chroma alone, which takes the glow of a
 sunset for cloud and its dark clouds for sky. So the picture decides first what kind of sky it shows:
 
-- against a low sun the clear sky glows warm and varies smoothly along each row: clouds are the dark valleys in the rows;
-- otherwise the clear sky is the smooth upper envelope of the blueness, and clouds fall short of it;
-- but a sky that is nowhere blue is overcast, and so is a rough one in which that outline runs along no edge.
+- by day the clear sky is the smooth upper envelope of the blueness, and clouds fall short of it;
+- a sky that is nowhere blue is overcast, and so is a rough one in which the outline of such clouds runs along no edge;
+- against a low sun the clear sky glows warm and varies smoothly along each row: clouds are the dark valleys in the rows.
 """
 
 from dataclasses import dataclass
@@ -81,13 +81,16 @@ def find_clouds(display: np.ndarray, in_sky: np.ndarray) -> np.ndarray:
     if not in_sky.any():
         return in_sky
     view = _view(display, in_sky)
-    if _glow_share(view) > LEAST_GLOW:
-        score = _silhouette_score(view)
-    else:
-        envelope = _blueness_envelope(view)
-        score = _whiteness_score(view, envelope)
-        if _is_overcast(view, envelope, score > 1.0):
-            return in_sky
+    envelope = _blueness_envelope(view)
+    score = _whiteness_score(view, envelope)
+    glowing = _glow_share(view) > LEAST_GLOW
+    overcast = _is_overcast(view, envelope, score > 1.0, glowing)
+    if glowing:
+        silhouettes = _silhouette_score(view)
+        if not overcast or (silhouettes > 1.0).sum() > LEAST_SILHOUETTES * view.sky.sum():
+            score, overcast = silhouettes, False
+    if overcast:
+        return in_sky
     height, width = in_sky.shape
     return in_sky & _without_specks(cv2.resize(score, (width, height), interpolation=cv2.INTER_LINEAR) > 1.0)
 
@@ -125,6 +128,9 @@ def _glow_share(view: _SkyView) -> float:
 # Widest silhouette, as a share of the picture's width, and the log darkness at which a valley is a cloud.
 WIDEST_SILHOUETTE = 0.4
 SILHOUETTE_DEPTH = 0.15
+
+# Share of the sky that must be silhouettes where the sky would otherwise count as overcast: clouds lit from below glow too.
+LEAST_SILHOUETTES = 0.06
 
 
 def _silhouette_score(view: _SkyView) -> np.ndarray:
@@ -195,11 +201,12 @@ def _whiteness_score(view: _SkyView, envelope: np.ndarray) -> np.ndarray:
     return np.where(view.sky, np.maximum(shortfall, shaded), 0.0).astype(np.float32)
 
 
-def _is_overcast(view: _SkyView, envelope: np.ndarray, cloud: np.ndarray) -> bool:
+def _is_overcast(view: _SkyView, envelope: np.ndarray, cloud: np.ndarray, glowing: bool) -> bool:
     """Whether the sky shows no clear part: nowhere blue, or rough with no edge where blue would turn to white."""
-    if np.quantile(envelope[view.sky], OVERCAST_QUANTILE) < LEAST_BLUENESS:
-        return True
     rough = float(np.median(view.roughness[view.sky])) > OVERCAST_ROUGHNESS
+    if np.quantile(envelope[view.sky], OVERCAST_QUANTILE) < LEAST_BLUENESS:
+        # A smooth sky that glows is a clear one at sunset, without a patch of blue in the frame.
+        return rough or not glowing
     return rough and _outline_contrast(view, cloud) < LEAST_CONTRAST
 
 
