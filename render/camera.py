@@ -44,7 +44,13 @@ class Camera(Protocol):
 def direction_from_angles(azimuth: float, elevation: float) -> Vector:
     """Unit vector (x, y, z) of an azimuth [rad, clockwise from north] and an elevation [rad]."""
     horizontal = math.cos(elevation)
-    return (math.sin(azimuth) * horizontal, math.cos(azimuth) * horizontal, math.sin(elevation))
+    x, y, z = math.sin(azimuth) * horizontal, math.cos(azimuth) * horizontal, math.sin(elevation)
+    # The cosine of 90 degrees rounds to 6e-17, which would lead out of a face of the volume that the direction is parallel to.
+    return (_exact_zero(x), _exact_zero(y), _exact_zero(z))
+
+
+def _exact_zero(component: float) -> float:
+    return 0.0 if abs(component) < 1e-15 else component
 
 
 def unit_direction(direction: Tensor) -> Tensor:
