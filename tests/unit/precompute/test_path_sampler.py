@@ -1,0 +1,177 @@
+"""One set of paths for a whole table: every node agrees with paths drawn for it alone, and no weight explodes."""
+
+import math
+
+import pytest
+import torch
+
+from precompute.path_sampler import SUN_LOBE_PROBABILITY, TableNodes, VertexWeights, sample_paths
+from render.density_grid import DensityGrid
+from render.phase_functions import evaluate_phase_function
+from tests.support.statistics import passes_z_test, z_scores
+from tests.support.volumes import noise_box, scaled, towards, uniform_box
+
+ORDERS = 4
+PATHS = 20_000
+SUN = towards(50.0, 25.0)
+AHEAD = torch.tensor([0.0, 1.0, 0.0])
+ASYMMETRY = torch.tensor([-0.3, 0.2, 0.6, 0.85])
+EXTINCTION = torch.tensor([0.1, 0.3, 1.0, 3.0])
+
+
+def nodes_of(asymmetry: list[float] | None = None, extinction: list[float] | None = None) -> TableNodes:
+    """The whole table with given anchors, all nodes by default."""
+    return TableNodes(
+        ASYMMETRY,
+        EXTINCTION,
+        ASYMMETRY if asymmetry is None else torch.tensor(asymmetry),
+        EXTINCTION if extinction is None else torch.tensor(extinction),
+    )
+
+
+def draw(
+    nodes: TableNodes, paths: int = PATHS, seed: int = 0, grid: DensityGrid | None = None, factor: float = 1.0
+) -> list[VertexWeights]:
+    volume = grid or noise_box()
+    start = torch.tensor([0.4, -1.0, 0.3]).expand(paths, 3) * factor
+    generator = torch.Generator().manual_seed(seed)
+    return list(sample_paths(volume, start, AHEAD.expand(paths, 3), SUN, nodes, ORDERS, 0.5, generator))
+
+
+def moments(vertices: list[VertexWeights], paths: int = PATHS) -> tuple[torch.Tensor, torch.Tensor]:
+    """Means of G S over all paths and their variances `(order, asymmetry, extinction)`."""
+    means, variances = [], []
+    for vertex in vertices:
+        asymmetry, extinction = vertex.asymmetry_factor.double(), vertex.extinction_factor.double()
+        mean = asymmetry.T @ extinction / paths
+        square = asymmetry.square().T @ extinction.square() / paths
+        means.append(mean)
+        variances.append((square - mean.square()) / (paths - 1))
+    return torch.stack(means), torch.stack(variances)
+
+
+def by_themselves(row: int, column: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mean and variance `(order,)` of one node from paths whose only anchor it is."""
+    g, s = float(ASYMMETRY[row]), float(EXTINCTION[column])
+    mean, variance = moments(draw(nodes_of([g], [s]), seed=1000 + 10 * row + column))
+    return mean[:, row, column], variance[:, row, column]
+
+
+def compare(nodes: TableNodes, pairs: list[tuple[int, int]], exponent: float = 1.0) -> bool:
+    """Whether the nodes of shared paths have the means of their own paths; a wrong exponent of s spoils them."""
+    means, variances = moments(draw(nodes))
+    differences, spreads = [], []
+    for row, column in pairs:
+        mean, variance = by_themselves(row, column)
+        shared = means[:, row, column] * EXTINCTION[column].double() ** (exponent - 1.0)
+        differences.append(shared - mean)
+        spreads.append(variances[:, row, column] + variance)
+    return passes_z_test(torch.stack(differences), torch.stack(spreads))
+
+
+def test_every_node_has_the_mean_of_its_own_paths() -> None:
+    pairs = [(0, 0), (0, 3), (1, 1), (1, 2), (2, 0), (2, 3), (3, 1), (3, 2)]
+    assert compare(nodes_of(), pairs)
+    assert not compare(nodes_of(), pairs, exponent=1.2)
+
+
+def test_nodes_between_the_anchors_have_it_too() -> None:
+    anchors = nodes_of([-0.3, 0.85], [0.1, 3.0])
+    pairs = [(1, 1), (1, 2), (2, 1), (2, 2)]
+    assert compare(anchors, pairs)
+    assert not compare(anchors, pairs, exponent=1.2)
+
+
+@pytest.mark.parametrize("column", [0, 2])
+def test_the_sun_lobe_changes_noise_but_no_mean(column: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    mean, variance = moments(draw(nodes_of()))
+    monkeypatch.setattr("precompute.path_sampler.SUN_LOBE_PROBABILITY", 0.0)
+    plain, plain_variance = moments(draw(nodes_of(), seed=5))
+    assert passes_z_test((mean - plain)[..., column], (variance + plain_variance)[..., column])
+    assert float((variance[:, -1, column] / plain_variance[:, -1, column]).max()) < 1.0
+
+
+def largest_factors(vertices: list[VertexWeights]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Largest G over the phase function's peak `(order, asymmetry)`, largest S `(order, extinction)`."""
+    peak = evaluate_phase_function(ASYMMETRY.sign(), ASYMMETRY)
+    return (
+        torch.stack([(v.asymmetry_factor / peak).amax(0) for v in vertices]),
+        torch.stack([v.extinction_factor.amax(0) for v in vertices]),
+    )
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 30.0])
+def test_factors_are_bounded_by_the_number_of_anchors(factor: float) -> None:
+    # The mixture is at least 0.7 per scattering times each anchor's own product; the cosine to the sun adds one peak at most.
+    grid = DensityGrid.from_voxel_size(factor * noise_box().density, 1.0)
+    of_asymmetry, of_extinction = largest_factors(draw(nodes_of(), 5000, grid=grid))
+    scatterings = torch.arange(1, len(of_asymmetry) + 1)
+    bound = len(ASYMMETRY) / (1.0 - SUN_LOBE_PROBABILITY) ** scatterings
+    assert (of_asymmetry <= 1.0001 * bound[:, None]).all()
+    assert (of_extinction <= 1.0001 * len(EXTINCTION)).all()
+
+
+def test_one_anchor_alone_is_not_bounded() -> None:
+    of_asymmetry, of_extinction = largest_factors(draw(nodes_of([-0.3], [3.0]), 5000))
+    assert float(of_asymmetry.max()) > len(ASYMMETRY) / 0.7**3
+    assert float(of_extinction.max()) > len(EXTINCTION)
+
+
+def test_a_single_node_is_plain_path_tracing() -> None:
+    """At the only anchor the flights' densities cancel: what remains is the transmittance to the sun."""
+    nodes = TableNodes(ASYMMETRY[1:2], EXTINCTION[2:3], ASYMMETRY[1:2], EXTINCTION[2:3])
+    for vertex in draw(nodes, 2000):
+        assert (vertex.extinction_factor <= 1.0 + 1e-5).all()
+        assert (vertex.extinction_factor > 0.0).all()
+
+
+def test_orders_count_up_and_paths_only_end() -> None:
+    vertices = draw(nodes_of(), 500)
+    assert [v.order for v in vertices] == [2, 3, 4]
+    alive = set(range(500))
+    for vertex in vertices:
+        numbers = set(vertex.path.tolist())
+        assert numbers < alive
+        assert len(numbers) == len(vertex.path) == len(vertex.asymmetry_factor) == len(vertex.extinction_factor)
+        alive = numbers
+
+
+def test_empty_volumes_have_no_second_vertex() -> None:
+    assert draw(nodes_of(), 100, grid=DensityGrid.from_voxel_size(torch.zeros(6, 6, 6), 1.0)) == []
+
+
+def test_a_generator_gives_the_same_paths_again() -> None:
+    first, again, other = (draw(nodes_of(), 200, seed) for seed in (1, 1, 2))
+    assert all(torch.equal(a.asymmetry_factor, b.asymmetry_factor) for a, b in zip(first, again, strict=True))
+    assert not torch.equal(first[0].path, other[0].path)
+
+
+def test_paths_have_no_scale() -> None:
+    small = draw(nodes_of(), 500)
+    thin = TableNodes(ASYMMETRY, EXTINCTION / 1024.0, ASYMMETRY, EXTINCTION / 1024.0)
+    large = draw(thin, 500, grid=scaled(noise_box(), 1024.0), factor=1024.0)
+    for first, second in zip(small, large, strict=True):
+        assert torch.equal(first.path, second.path)
+        torch.testing.assert_close(first.asymmetry_factor, second.asymmetry_factor)
+        torch.testing.assert_close(first.extinction_factor, second.extinction_factor, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("asymmetry", [-0.99, 0.99])
+def test_extremes_stay_finite(asymmetry: float) -> None:
+    lobes, thickness = (
+        torch.tensor([asymmetry, 0.999 * math.copysign(1.0, asymmetry)]),
+        torch.tensor([1e-6, 1.0, 2000.0]),
+    )
+    if asymmetry < 0.0:
+        lobes = lobes.flip(0)
+    for anchors in (thickness, thickness[1:], thickness[:1]):
+        for vertex in draw(TableNodes(lobes, thickness, lobes, anchors), 2000, grid=uniform_box()):
+            assert torch.isfinite(vertex.asymmetry_factor).all()
+            assert torch.isfinite(vertex.extinction_factor).all()
+
+
+def test_z_scores_of_the_shared_paths_are_normal_on_the_whole() -> None:
+    """Over the table, independent runs differ by as much as their variances say: neither too little nor too much."""
+    first, second = (moments(draw(nodes_of(), seed=seed)) for seed in (21, 22))
+    z = z_scores(first[0] - second[0], first[1] + second[1])
+    assert 0.3 < float(z.square().mean()) < 2.5
