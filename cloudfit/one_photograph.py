@@ -215,6 +215,7 @@ def treat_photograph(
         raise
     except Exception as error:  # one photograph never ends a batch
         status, reason, details = "failed", f"{job.photograph}: {_sentence(error)}", traceback.format_exc()
+    clock.lap("reading" if photograph is None else "until it failed")
     return record_reason(job, question, (status, reason), token, photograph, clock.laps(), details)
 
 
