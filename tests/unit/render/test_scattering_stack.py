@@ -1,0 +1,228 @@
+"""Composition from tables: exact at nodes, smooth, differentiable, with the limits of thin clouds and no scattering."""
+
+import dataclasses
+
+import pytest
+import torch
+from torch import Tensor
+
+from render.errors import ParameterError
+from render.phase_functions import evaluate_phase_function
+from render.scattering_stack import CloudLayers, ScatteringStack, ScatteringTables
+
+PIXELS, ORDERS = 6, 4
+ASYMMETRY = torch.tensor([0.0, 0.3, 0.6, 0.85])
+EXTINCTION = torch.logspace(-2.0, 0.5, 6)
+
+
+def tables_of(pixels: int = PIXELS, asymmetry: Tensor = ASYMMETRY, extinction: Tensor = EXTINCTION) -> ScatteringTables:
+    """Tables that a made-up cloud would have: order k of a thin one grows with the k-th power of the extinction."""
+    generator = torch.Generator().manual_seed(0)
+    length = 1.0 + 20.0 * torch.rand(pixels, generator=generator)
+    depth = extinction[:, None] * length
+    single = -torch.expm1(-depth) * torch.exp(-0.3 * depth)
+    powers = torch.arange(2, ORDERS + 1)[:, None, None, None]
+    multiple = 0.05 * (-torch.expm1(-depth)) ** powers * torch.exp(-asymmetry[:, None, None])
+    shape = (ORDERS - 1, len(asymmetry), len(extinction))
+    return ScatteringTables(
+        width=3,
+        height=2,
+        pixel=torch.arange(pixels),
+        optical_length=length,
+        cos_sun=2.0 * torch.rand(pixels, generator=generator) - 1.0,
+        asymmetry=asymmetry,
+        extinction=extinction,
+        single=single,
+        multiple=multiple,
+        standard_error=torch.full(shape, 0.1),
+        image_error=torch.full(shape[1:], 0.05),
+        effective_share=torch.ones(shape),
+    )
+
+
+def stack(**arguments: Tensor) -> ScatteringStack:
+    return ScatteringStack(tables_of(**arguments))  # type: ignore[arg-type]
+
+
+def compose(
+    model: ScatteringStack, g: float, s: float, albedo: float, dtype: torch.dtype = torch.float64
+) -> CloudLayers:
+    return model(*(torch.tensor([v], dtype=dtype) for v in (g, s, albedo)))
+
+
+@pytest.mark.parametrize("albedo", [1.0, 0.4])
+def test_nodes_give_back_the_tables(albedo: float) -> None:
+    tables, model = tables_of(), stack()
+    powers = albedo ** torch.arange(2, ORDERS + 1)[:, None]
+    for row, g in enumerate(ASYMMETRY.tolist()):
+        for column, s in enumerate(EXTINCTION.tolist()):
+            layers = compose(model, g, s, albedo, torch.float32)
+            single = albedo * evaluate_phase_function(tables.cos_sun, g) * tables.single[column]
+            multiple = (powers * tables.multiple[:, row, column]).sum(0)
+            torch.testing.assert_close(layers.single[0], single, rtol=2e-5, atol=0.0)
+            torch.testing.assert_close(layers.multiple[0], multiple, rtol=2e-5, atol=0.0)
+            wrong = (powers * tables.multiple[:, row - 1, column]).sum(0)
+            assert not torch.allclose(layers.multiple[0], wrong, rtol=0.05)
+
+
+def test_transmittance_and_opacity_are_exact_everywhere() -> None:
+    length = tables_of().optical_length.double()
+    for s in (0.0, 1e-12, 1e-6, 0.0123, 0.5, 1e4):
+        layers = compose(stack(), 0.2, s, 0.9)
+        torch.testing.assert_close(layers.transmittance[0], torch.exp(-s * length))
+        torch.testing.assert_close(layers.opacity[0], -torch.expm1(-s * length), rtol=1e-12, atol=0.0)
+
+
+def test_between_nodes_logarithms_are_interpolated() -> None:
+    """A pure power of s and an exponential of g are straight lines there."""
+    tables = tables_of()
+    s_table = EXTINCTION[:, None].expand(-1, PIXELS)
+    power = EXTINCTION[:, None] ** 2.0 * torch.exp(-3.0 * ASYMMETRY[:, None, None])
+    multiple = power.expand(ORDERS - 1, -1, -1, PIXELS)
+    model = ScatteringStack(dataclasses.replace(tables, single=s_table, multiple=multiple))
+    layers = compose(model, 0.47, 0.0777, 1.0)
+    phase = evaluate_phase_function(tables.cos_sun.double(), 0.47)
+    torch.testing.assert_close(layers.single[0], phase * 0.0777, rtol=1e-5, atol=0.0)
+    expected = (ORDERS - 1) * 0.0777**2 * torch.exp(torch.tensor(-3.0 * 0.47, dtype=torch.float64))
+    torch.testing.assert_close(layers.multiple[0], expected.expand(PIXELS), rtol=1e-5, atol=0.0)
+
+
+def test_below_the_nodes_each_order_falls_with_its_power() -> None:
+    s = float(EXTINCTION[0])
+    for albedo in (1.0, 0.5):
+        at, half, tiny = (compose(stack(), 0.3, share * s, albedo) for share in (1.0, 0.5, 1e-9))
+        torch.testing.assert_close(half.single, 0.5 * at.single)
+        torch.testing.assert_close(tiny.single, 1e-9 * at.single)
+        second = torch.tensor([[2.0**-k for k in range(2, ORDERS + 1)]], dtype=torch.float64)
+        orders = albedo ** torch.arange(2, ORDERS + 1)[:, None] * tables_of().multiple[:, 1, 0].double()
+        torch.testing.assert_close(half.multiple, second @ orders, rtol=1e-5, atol=0.0)
+        assert not torch.allclose(half.multiple, 0.5 * at.multiple, rtol=0.1)
+
+
+def test_no_extinction_and_no_albedo_scatter_nothing() -> None:
+    for s, albedo in ((0.0, 1.0), (0.3, 0.0), (0.0, 0.0)):
+        layers = compose(stack(), 0.3, s, albedo, torch.float32)
+        assert not layers.single.any()
+        assert not layers.multiple.any()
+    assert torch.equal(compose(stack(), 0.3, 0.0, 1.0).transmittance, torch.ones(1, PIXELS, dtype=torch.float64))
+
+
+def test_above_the_nodes_the_tables_are_held() -> None:
+    top, beyond = (compose(stack(), 0.3, s, 1.0) for s in (float(EXTINCTION[-1]), 1e6))
+    torch.testing.assert_close(beyond.single, top.single, rtol=1e-6, atol=0.0)
+    torch.testing.assert_close(beyond.multiple, top.multiple, rtol=1e-6, atol=0.0)
+    assert float(beyond.transmittance.max()) == 0.0
+
+
+def central_difference(model: ScatteringStack, point: list[float], axis: int, step: float) -> float:
+    def value(offset: float) -> float:
+        moved = [v + offset * (i == axis) for i, v in enumerate(point)]
+        layers = compose(model, *moved)
+        return float((layers.single + 2.0 * layers.multiple + 3.0 * layers.transmittance).sum())
+
+    return (value(step) - value(-step)) / (2.0 * step)
+
+
+def gradient(model: ScatteringStack, point: list[float]) -> list[float]:
+    inputs = [torch.tensor([v], dtype=torch.float64, requires_grad=True) for v in point]
+    layers = model(*inputs)
+    (layers.single + 2.0 * layers.multiple + 3.0 * layers.transmittance).sum().backward()
+    return [float(i.grad) for i in inputs if i.grad is not None]
+
+
+LOWEST, HIGHEST = float(EXTINCTION[0].double()), float(EXTINCTION[-1].double())
+POINTS = [
+    [0.2, 0.1, 0.9],
+    [0.3, float(EXTINCTION[2]), 0.5],
+    [1e-4, LOWEST * 1.001, 0.01],
+    [0.8499, HIGHEST * 0.999, 0.999],
+    [0.4, LOWEST * 0.7, 0.9],
+]
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_gradients_are_those_of_central_differences(point: list[float]) -> None:
+    model = stack()
+    found = gradient(model, point)
+    assert len(found) == 3
+    for axis, slope in enumerate(found):
+        step = 1e-6 * max(point[axis], 1e-2)
+        assert slope == pytest.approx(central_difference(model, point, axis, step), rel=1e-5, abs=1e-7)
+    assert found[1] != pytest.approx(found[2], rel=1e-3)
+
+
+def test_the_gradient_at_the_lowest_node_is_that_towards_thicker_clouds() -> None:
+    model = stack()
+    at, above, below = (gradient(model, [0.2, LOWEST + offset, 0.9])[1] for offset in (0.0, 1e-9, -1e-9))
+    assert at == pytest.approx(above, rel=1e-5)
+    assert at != pytest.approx(above + below, rel=0.1)
+
+
+def test_gradients_at_the_bounds_are_finite() -> None:
+    for point in ([0.0, 0.0, 0.0], [0.85, HIGHEST, 1.0], [0.0, LOWEST, 0.0], [0.5, 1e-30, 1.0]):
+        assert all(abs(slope) < 1e6 for slope in gradient(stack(), point))
+
+
+@pytest.mark.parametrize("population", [1, 50])
+def test_candidates_do_not_mix(population: int) -> None:
+    generator = torch.Generator().manual_seed(1)
+    uniform = torch.rand(3, 50, generator=generator)
+    g, s, albedo = 0.85 * uniform[0], EXTINCTION[-1] * uniform[1], uniform[2]
+    model = stack()
+    together = model(g, s, albedo)
+    pieces = [model(*(v[i : i + population] for v in (g, s, albedo))) for i in range(0, 50, population)]
+    for field in dataclasses.fields(CloudLayers):
+        whole = getattr(together, field.name)
+        assert whole.shape == (50, PIXELS)
+        torch.testing.assert_close(torch.cat([getattr(p, field.name) for p in pieces]), whole, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (1, 6), (4, 1), (2, 2)])
+def test_few_nodes_are_enough(rows: int, columns: int) -> None:
+    tables = tables_of(asymmetry=ASYMMETRY[:rows], extinction=EXTINCTION[:columns])
+    layers = compose(ScatteringStack(tables), float(ASYMMETRY[rows - 1]), float(EXTINCTION[columns - 1]), 1.0)
+    expected = tables.multiple[:, rows - 1, columns - 1].double().sum(0)
+    torch.testing.assert_close(layers.multiple[0], expected, rtol=1e-5, atol=0.0)
+
+
+def test_views_without_cloud_have_no_pixel() -> None:
+    tables = tables_of(pixels=0)
+    layers = compose(ScatteringStack(tables), 0.2, 0.1, 0.9)
+    assert layers.single.shape == layers.multiple.shape == layers.opacity.shape == (1, 0)
+    assert tables.largest_optical_length == 0.0
+    assert tables_of().largest_optical_length == float(tables_of().optical_length.max())
+
+
+def test_black_entries_have_a_logarithm() -> None:
+    tables = tables_of()
+    multiple = torch.zeros_like(tables.multiple)
+    multiple[0] = tables.multiple[0]
+    multiple[0, ..., 2] = 0.0
+    layers = compose(ScatteringStack(dataclasses.replace(tables, multiple=multiple)), 0.2, 0.1, 1.0)
+    whole = compose(ScatteringStack(dataclasses.replace(tables, multiple=tables.multiple[:1])), 0.2, 0.1, 1.0)
+    assert 0.0 < float(layers.multiple[0, 2]) < 1e-6 * float(whole.multiple.max())
+    others = [0, 1, 3, 4, 5]
+    torch.testing.assert_close(layers.multiple[0, others], whole.multiple[0, others])
+
+
+def test_nodes_with_large_errors_are_marked() -> None:
+    error = torch.full((4, 6), 0.05)
+    error[3, 2] = 0.2
+    model = ScatteringStack(dataclasses.replace(tables_of(), image_error=error), largest_image_error=0.1)
+    s = EXTINCTION
+    between = (s[:-1] * s[1:]).sqrt()
+    g = torch.tensor([0.7, 0.7, 0.7, 0.7, 0.5, 0.7, 0.9, 0.9])
+    at = torch.stack([between[0], between[1], between[2], between[3], between[1], 0.5 * s[0], s[2], 2.0 * s[-1]])
+    assert model.is_usable(g, at).tolist() == [True, False, False, True, True, True, False, True]
+    assert stack().is_usable(g, at).all()
+    assert model.is_usable(g[:0], at[:0]).shape == (0,)
+
+
+def test_the_number_of_orders_is_that_of_the_tables() -> None:
+    assert stack().orders == ORDERS
+
+
+@pytest.mark.parametrize("shapes", [((2,), (3,), (2,)), ((2,), (2,), (1,)), ((2, 1), (2, 1), (2, 1)), ((), (), ())])
+def test_other_shapes_are_refused(shapes: tuple[tuple[int, ...], ...]) -> None:
+    with pytest.raises(ParameterError, match="shape"):
+        stack()(*(torch.full(shape, 0.1) for shape in shapes))
