@@ -77,16 +77,20 @@ def treat_in_workers(
         Outcomes in the order in which they are finished. Leaving the loop ends the processes.
     """
     packet = _pack(source, token, threads)
-    finished: set[Job] = set()
-    for outcome in _run_pool(jobs, packet, workers):
-        finished.add(outcome.job)
-        yield outcome
-    # A process has died if any is left. Whose fault it was is not told, so each goes on alone.
-    for job in jobs:
-        if job in finished:
-            continue
-        alone = list(_run_pool([job], packet, 1))
-        yield alone[0] if alone else record_reason(job, ask(job, source.scene, source.options), ("failed", DIED), token)
+    rest = list(jobs)
+    while rest:
+        for outcome in _run_pool(rest, packet, workers):
+            rest.remove(outcome.job)
+            yield outcome
+        # A process has died if any is left. Whose fault it was is not told, but work starts in the order given: it was one of
+        # the first. Each of those gets a process of its own, and the rest go on together.
+        for job in rest[:workers]:
+            alone = list(_run_pool([job], packet, 1))
+            rest.remove(job)
+            if alone:
+                yield alone[0]
+            else:
+                yield record_reason(job, ask(job, source.scene, source.options), ("failed", DIED), token)
 
 
 def _run_pool(jobs: Sequence[Job], packet: "_Packet", workers: int) -> Iterator[Outcome]:
