@@ -12,7 +12,7 @@ from cloudfit.fit_problem import FitProblem, resize_image
 from cloudfit.fit_types import Candidate, FitOptions, PhotographFit
 from cloudfit.losses import LOSSES, l1_floor
 from cloudfit.optimisers import OPTIMISERS
-from cloudfit.optimisers.base import Budget, OptimiserResult, StopReason
+from cloudfit.optimisers.base import Budget, OptimiserResult, StopReason, pool_results
 from cloudfit.picture import CandidateRendering
 from cloudfit.scene import Scene
 from render.errors import ParameterError
@@ -82,13 +82,26 @@ def fit_photograph(
 
 
 def _search(problem: FitProblem, options: FitOptions, on_progress: Progress) -> OptimiserResult:
-    budget = Budget(options.evaluations, options.seconds, None)
+    """Run the optimiser several times from independent seeds and pool what was evaluated."""
+    budget = Budget(
+        None if options.evaluations is None else max(1, options.evaluations // options.searches),
+        None if options.seconds is None else options.seconds / options.searches,
+        None,
+    )
+    minimiser = OPTIMISERS[options.optimiser]
+    results: list[OptimiserResult] = []
 
     def report(iteration: int, evaluations: int, best_loss: float) -> None:
-        on_progress(f"search: loss {best_loss:.3f}", min(1.0, iteration / 100.0))
+        best = min([best_loss, *(result.best_loss for result in results)])
+        share = (len(results) + min(1.0, iteration / 100.0)) / options.searches
+        on_progress(f"search: loss {best:.3f}", share)
 
-    minimiser = OPTIMISERS[options.optimiser]
-    return minimiser.minimise(problem.evaluate, problem.space.dimension, budget, options.seed, report)
+    for run in range(options.searches):
+        seed = options.seed * options.searches + run
+        results.append(minimiser.minimise(problem.evaluate, problem.space.dimension, budget, seed, report))
+        if results[-1].stop_reason is StopReason.INTERRUPTED:
+            break
+    return pool_results(results)
 
 
 def _render_candidate(

@@ -21,8 +21,10 @@ class FitOptions:
         ambient: colour of the ambient light: the sun's (the paper), the sky's, or three more searched parameters.
         transfer: display curve applied to both sides before a histogram, "srgb" or "none".
         optimiser: name in OPTIMISERS.
-        evaluations: budget of the search, or None for the optimiser's own limit.
-        seconds: budget of the search, or None.
+        evaluations: budget of all searches together, or None for the optimiser's own limit.
+        seconds: budget of all searches together, or None.
+        searches: independent runs of the optimiser whose answers are pooled and which share the budgets; the loss has
+            many local optima.
         candidates: distinct answers to render again and rank.
         seed: of every random stream.
     """
@@ -33,7 +35,8 @@ class FitOptions:
     optimiser: str = "genetic"
     evaluations: int | None = None
     seconds: float | None = None
-    candidates: int = 4
+    searches: int = 3
+    candidates: int = 3
     seed: int = 0
 
 

@@ -116,6 +116,7 @@ def describe_options(options: FitOptions) -> dict[str, Any]:
         "evaluations": options.evaluations,
         "search_seconds": options.seconds,
         "candidates": options.candidates,
+        "searches": options.searches,
         "seed": options.seed,
     }
 

@@ -73,6 +73,12 @@ MaxSeconds = Annotated[
 MaxEvaluations = Annotated[
     int | None, typer.Option(min=1, help="Most candidates tried for each photograph.", rich_help_panel=o.SEARCH)
 ]
+Searches = Annotated[
+    int,
+    typer.Option(
+        min=1, help="Independent searches whose answers are pooled; they share the limits.", rich_help_panel=o.SEARCH
+    ),
+]
 Resume = Annotated[
     bool,
     typer.Option(
@@ -99,7 +105,8 @@ def fit(
     transfer: Transfer = o.TransferName.SRGB,
     ambient: Ambient = o.AmbientName.SUN,
     optimiser: Optimiser = "genetic",
-    candidates: Candidates = 4,
+    candidates: Candidates = 3,
+    searches: Searches = 3,
     max_seconds: MaxSeconds = None,
     max_evaluations: MaxEvaluations = None,
     seed: o.Seed = 0,
@@ -127,7 +134,9 @@ def fit(
         camera_height,
         camera_type,
     )
-    search = o.SearchChoice(quality, ambient, transfer, optimiser, max_evaluations, max_seconds, candidates, seed)
+    search = o.SearchChoice(
+        quality, ambient, transfer, optimiser, max_evaluations, max_seconds, candidates, seed, searches
+    )
     with reported_errors(speaker, RESUME_HINT):
         from cloudfit.batch import BatchSettings
         from cloudfit.photograph import list_photographs

@@ -156,8 +156,9 @@ class SearchChoice:
     optimiser: str = "genetic"
     evaluations: int | None = None
     max_seconds: float | None = None
-    candidates: int = 4
+    candidates: int = 3
     seed: int = 0
+    searches: int = 3
 
     def options(self) -> "FitOptions":
         """The options of a fit. Raises ParameterError for an optimiser that there is not."""
@@ -176,5 +177,6 @@ class SearchChoice:
             evaluations=self.evaluations,
             seconds=self.max_seconds,
             candidates=self.candidates,
+            searches=self.searches,
             seed=self.seed,
         )

@@ -7,7 +7,7 @@ exception of the objective), the best point so far is returned together with the
 import enum
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
@@ -92,6 +92,23 @@ class OptimiserResult:
     evaluated: Tensor
     losses: Tensor
     message: str = ""
+
+
+def pool_results(results: Sequence[OptimiserResult]) -> OptimiserResult:
+    """One result of runs on the same objective, one after the other; the reason to stop is that of the last."""
+    best = min(results, key=lambda result: result.best_loss)
+    return OptimiserResult(
+        best=best.best,
+        best_loss=best.best_loss,
+        evaluations=sum(result.evaluations for result in results),
+        iterations=sum(result.iterations for result in results),
+        seconds=sum(result.seconds for result in results),
+        stop_reason=results[-1].stop_reason,
+        history=torch.cat([result.history for result in results]).cummin(dim=0).values,
+        evaluated=torch.cat([result.evaluated for result in results]),
+        losses=torch.cat([result.losses for result in results]),
+        message=results[-1].message,
+    )
 
 
 class Minimiser(Protocol):

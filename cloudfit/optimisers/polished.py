@@ -3,10 +3,9 @@
 import time
 from dataclasses import dataclass, replace
 
-import torch
 from torch import Tensor
 
-from cloudfit.optimisers.base import Budget, Minimiser, Objective, OptimiserResult, Progress, StopReason
+from cloudfit.optimisers.base import Budget, Minimiser, Objective, OptimiserResult, Progress, StopReason, pool_results
 from render.errors import ParameterError
 
 NOTHING_TO_POLISH = (StopReason.TARGET, StopReason.INTERRUPTED, StopReason.FAILED)
@@ -61,7 +60,7 @@ class Polished:
             return replace(first, stop_reason=StopReason.INTERRUPTED)
         except Exception as error:
             return replace(first, stop_reason=StopReason.FAILED, message=f"{type(error).__name__}: {error}")
-        return _join(first, second)
+        return pool_results([first, second])
 
     def _first_budget(self, budget: Budget) -> Budget:
         evaluations, seconds = budget.evaluations, budget.seconds
@@ -82,21 +81,4 @@ def _rest_of(budget: Budget, evaluations: int, seconds: float) -> Budget | StopR
         budget,
         evaluations=None if budget.evaluations is None else budget.evaluations - evaluations,
         seconds=None if budget.seconds is None else budget.seconds - seconds,
-    )
-
-
-def _join(first: OptimiserResult, second: OptimiserResult) -> OptimiserResult:
-    """One result of two runs, one after the other."""
-    better = second if second.best_loss < first.best_loss else first
-    return OptimiserResult(
-        best=better.best,
-        best_loss=better.best_loss,
-        evaluations=first.evaluations + second.evaluations,
-        iterations=first.iterations + second.iterations,
-        seconds=first.seconds + second.seconds,
-        stop_reason=second.stop_reason,
-        history=torch.cat([first.history, second.history]).cummin(dim=0).values,
-        evaluated=torch.cat([first.evaluated, second.evaluated]),
-        losses=torch.cat([first.losses, second.losses]),
-        message=second.message,
     )
