@@ -77,7 +77,7 @@ def fit_photograph(
         stop_reason=result.stop_reason.value,
         interrupted=interrupted,
         seconds={"search": searched - started, "pictures": time.perf_counter() - searched},
-        warnings=(*analysis.warnings, *_warnings(problem, candidates[0])),
+        warnings=(*analysis.warnings, *describe_doubts(problem, candidates[0])),
     )
 
 
@@ -126,7 +126,7 @@ def _render_candidate(
     )
 
 
-def _warnings(problem: FitProblem, best: Candidate) -> list[str]:
+def describe_doubts(problem: FitProblem, best: Candidate) -> list[str]:
     """Sentences about an answer that a user should not trust blindly."""
     unit = problem.space.to_unit(torch.tensor([list(best.parameters.values())]))[0]
     warnings = []

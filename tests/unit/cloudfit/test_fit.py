@@ -1,0 +1,98 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from cloudfit.fit import describe_doubts, fit_photograph
+from cloudfit.fit_problem import FitProblem
+from cloudfit.fit_types import FitOptions
+from render.errors import ParameterError
+from tests.support.small_scene import TINY, made_up_analysis, small_scene, small_stack
+from tests.unit.cloudfit.test_fit_problem import guess_space_truth, problem_with_known_answer, sky_image
+
+OPTIONS = FitOptions(quality=TINY, evaluations=400, searches=2, candidates=2, seed=5)
+
+
+def test_a_photograph_of_the_same_cloud_is_matched_and_the_answers_are_ranked() -> None:
+    problem = problem_with_known_answer()
+    stages: list[str] = []
+    fit = fit_photograph(
+        problem.analysis, small_scene(), small_stack(), OPTIONS, lambda stage, share: stages.append(stage)
+    )
+    random = problem.evaluate(torch.rand(20, 5, generator=torch.Generator().manual_seed(0)))
+    assert fit.candidates[0].promised_loss < 0.7 * float(random.min())
+    assert [c.loss for c in fit.candidates] == sorted(c.loss for c in fit.candidates)
+    assert fit.evaluations <= OPTIONS.evaluations + 20
+    assert list(fit.history) == sorted(fit.history, reverse=True)
+    assert not fit.interrupted
+    assert any(stage.startswith("search") for stage in stages)
+    assert "pictures" in stages
+    best = fit.candidates[0]
+    assert best.picture.rgb.shape == (36, 48, 3)
+    assert best.histogram.shape == fit.histogram.shape == (3, 256)
+    assert 0.0 < best.floor < 2.0
+
+
+def test_the_same_seed_gives_the_same_fit_and_another_seed_another() -> None:
+    problem = problem_with_known_answer()
+    few = FitOptions(quality=TINY, evaluations=60, searches=1, candidates=1, seed=5)
+    first, again, other = (
+        fit_photograph(problem.analysis, small_scene(), small_stack(), options)
+        for options in (few, few, FitOptions(quality=TINY, evaluations=60, searches=1, candidates=1, seed=6))
+    )
+    assert first.candidates[0].parameters == again.candidates[0].parameters
+    assert first.candidates[0].loss == again.candidates[0].loss
+    assert first.candidates[0].parameters != other.candidates[0].parameters
+
+
+def test_an_interruption_leaves_the_best_answer_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = problem_with_known_answer()
+    calls = 0
+    evaluate = FitProblem.evaluate
+
+    def interrupted(self: FitProblem, population: torch.Tensor) -> torch.Tensor:
+        nonlocal calls
+        calls += 1
+        if calls == 3:
+            raise KeyboardInterrupt
+        return evaluate(self, population)
+
+    monkeypatch.setattr(FitProblem, "evaluate", interrupted)
+    fit = fit_photograph(problem.analysis, small_scene(), small_stack(), OPTIONS)
+    assert fit.interrupted
+    assert len(fit.candidates) == 1
+    assert fit.evaluations == 39
+
+
+def test_what_a_user_should_not_trust_is_said() -> None:
+    problem = problem_with_known_answer()
+    best = fit_photograph(problem.analysis, small_scene(), small_stack(), OPTIONS).candidates[0]
+    inside = {
+        **best.parameters,
+        "sunlight_intensity": 0.1 * problem.space.parameters[0].upper,
+        "albedo": 0.5,
+        "ambient": 0.5,
+    }
+    inside |= {"asymmetry": 0.4, "extinction": 0.1}
+    quiet = replace(best, parameters=inside, promised_loss=best.loss)
+    assert describe_doubts(problem, quiet) == []
+    assert (
+        "albedo sits on the upper bound"
+        in describe_doubts(problem, replace(quiet, parameters={**inside, "albedo": 1.0}))[0]
+    )
+    assert "the stack promised" in describe_doubts(problem, replace(quiet, promised_loss=best.loss + 0.2))[0]
+
+
+def test_an_unknown_optimiser_is_refused() -> None:
+    with pytest.raises(ParameterError, match="no optimiser is called 'magic'"):
+        fit_photograph(
+            problem_with_known_answer().analysis,
+            small_scene(),
+            small_stack(),
+            FitOptions(quality=TINY, optimiser="magic"),
+        )
+
+
+def test_the_truth_of_the_tests_lies_in_the_cube() -> None:
+    truth = guess_space_truth(problem_with_known_answer())
+    assert bool(((truth >= 0.0) & (truth <= 1.0)).all())
