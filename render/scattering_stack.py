@@ -7,7 +7,9 @@ For a fixed volume, camera and sun the radiance of a cloud pixel is (Dobashi et 
 
 with the sunlight's intensity L_in, the albedo beta, the asymmetry g, the extinction s [1/m], the phase function p, the cosine of the angle
 theta between view and sun, the optical length u [m], the single-scattering integral S1 and the orders f_k, k >= 2. S1 and f_k are
-tables. Their logarithms are interpolated, over ln s and g, since powers of s are straight lines there.
+tables, interpolated over ln s and g. Powers of s are straight lines in logarithms, so those of S1, which has no noise, are interpolated.
+f_k is split into its mean over the pixels, whose logarithm is interpolated, and the image relative to that mean, which is interpolated as
+it is: the logarithm of a noisy number is too small on average, between nodes by half its relative variance.
 """
 
 from dataclasses import dataclass
@@ -21,6 +23,9 @@ from render.phase_functions import evaluate_phase_function
 
 SMALLEST_SHARE = 1e-7
 """Table entries are held at this share of their node's largest entry, so that their logarithm exists."""
+
+SMALLEST_MEAN = 1e-37
+"""Mean of an order's image below which it counts as black; float32 holds little less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +94,8 @@ class ScatteringStack(nn.Module):
     optical_length: Tensor
     cos_sun: Tensor
     log_single: Tensor
-    log_multiple: Tensor
+    log_mean: Tensor
+    relative: Tensor
     usable: Tensor
 
     def __init__(self, tables: ScatteringTables, largest_image_error: float = torch.inf) -> None:
@@ -99,13 +105,16 @@ class ScatteringStack(nn.Module):
         self.register_buffer("optical_length", tables.optical_length)
         self.register_buffer("cos_sun", tables.cos_sun)
         self.register_buffer("log_single", _safe_log(tables.single))
-        self.register_buffer("log_multiple", _safe_log(tables.multiple).flatten(1, 2))
+        mean = tables.multiple.double().sum(-1) / max(len(tables.pixel), 1)
+        mean = mean.clamp(min=SMALLEST_MEAN).to(tables.multiple.dtype)
+        self.register_buffer("log_mean", mean.log().flatten(1))
+        self.register_buffer("relative", (tables.multiple / mean[..., None]).flatten(1, 2))
         self.register_buffer("usable", tables.image_error <= largest_image_error)
 
     @property
     def orders(self) -> int:
         """Largest number of scatterings in the tables."""
-        return len(self.log_multiple) + 1
+        return len(self.relative) + 1
 
     def forward(self, asymmetry: Tensor, extinction: Tensor, albedo: Tensor) -> CloudLayers:
         """Grey layers of a population.
@@ -136,9 +145,10 @@ class ScatteringStack(nn.Module):
         phase = evaluate_phase_function(self.cos_sun.to(asymmetry), asymmetry[:, None])
         single = albedo[:, None] * thinner * phase * (of_extinction @ self.log_single.to(albedo)).exp()
         multiple = torch.zeros_like(single)
-        for number, log_order in enumerate(self.log_multiple):
-            power = (albedo[:, None] * thinner) ** (number + 2)
-            multiple = multiple + power * (node_weights @ log_order.to(albedo)).exp()
+        for number, (log_mean, relative) in enumerate(zip(self.log_mean, self.relative, strict=True)):
+            power = (albedo[:, None] * thinner) ** (number + 2) * (node_weights @ log_mean.to(albedo)).exp()[:, None]
+            # Cubic weights may be negative: next to a black pixel the interpolated image can fall a little below zero.
+            multiple = multiple + power * (node_weights @ relative.to(albedo)).clamp(min=0.0)
         depth = extinction[:, None] * self.optical_length.to(albedo)
         return CloudLayers(single, multiple, torch.exp(-depth), -torch.expm1(-depth))
 
