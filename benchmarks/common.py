@@ -3,13 +3,14 @@
 import argparse
 import importlib.metadata
 import json
+import math
 import os
 import platform
 import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +18,14 @@ from pathlib import Path
 import cv2
 import torch
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from cloudfit import __version__
+from cloudfit.quality import Quality
 from cloudfit.scene import Scene
 from cloudfit.scene_record import load_volume
+from precompute.scattering_orders import Effort
 from render.atomic_write import atomic_path
 from render.camera import frame_volume
 from render.procedural_cloud import build_cumulus
@@ -33,6 +37,9 @@ SHARED_VOLUME = SHARED / "volumes" / "wdas_cloud_sixteenth.npz"
 
 QUICK_RESOLUTION = 40
 """Voxels along the longest side of the cumulus that quick runs use."""
+
+QUICK_QUALITY = Quality(1.0, Effort(4, 4_000, 40_000, 4), Effort(4, 4_000, 40_000, 4), 4, 6, math.inf)
+"""Tables and pictures of quick runs: coarse, and accepted whatever their error."""
 
 SUN_AZIMUTH_DEG, SUN_ELEVATION_DEG = 220.0, 40.0
 
@@ -49,7 +56,7 @@ class Outcome:
         notes: sentences about what was measured how, and what falls short.
     """
 
-    values: dict[str, object]
+    values: Mapping[str, object]
     tables: tuple[Table, ...]
     notes: tuple[str, ...] = ()
 
@@ -90,6 +97,11 @@ def spread(values: Iterable[float]) -> dict[str, float]:
     }
 
 
+def harmonic_mean(first: int, second: int) -> int:
+    """Number of pixels n of two images of one size that differ by chance as images of these two sizes do: 2/n = 1/a + 1/b."""
+    return max(1, round(2.0 / (1.0 / first + 1.0 / second)))
+
+
 def show(summary: dict[str, float], digits: int = 3) -> str:
     """Median and quartiles on one line."""
     low, median, high = (summary[name] for name in ("lower_quartile", "median", "upper_quartile"))
@@ -98,11 +110,11 @@ def show(summary: dict[str, float], digits: int = 3) -> str:
 
 def make_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
     """Table with right-aligned columns after the first."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=escape(title), title_justify="left")
     for number, column in enumerate(columns):
-        table.add_column(column, justify="left" if number == 0 else "right")
+        table.add_column(escape(column), justify="left" if number == 0 else "right")
     for row in rows:
-        table.add_row(*[cell if isinstance(cell, str) else f"{cell:.4g}" for cell in row])
+        table.add_row(*[escape(cell) if isinstance(cell, str) else f"{cell:.4g}" for cell in row])
     return table
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.common import SHARED, Outcome, make_table, scene_of, show, spread, stopwatch
-from benchmarks.synthetic_photograph import MIDDLE, photograph_by_path_tracing
+from benchmarks.synthetic_photograph import MIDDLE, photograph_of_opacity
 from cloudfit.cloud_mask import Label, detect_clouds, read_user_mask
 from cloudfit.photograph import list_photographs, read_photograph
 from render.errors import InputError
@@ -107,7 +107,7 @@ def _render_pair(arguments: argparse.Namespace, folder: Path) -> tuple[Path, Pat
     scene, _ = scene_of(arguments, 96, 72)
     path = folder / "photographs" / "cumulus.png"
     path.parent.mkdir()
-    photograph_by_path_tracing(scene, scene.camera, MIDDLE, path, noise=0.2, most_samples=64, seed=0)
+    photograph_of_opacity(scene, scene.camera, MIDDLE, path)
     return path, path.with_name("cumulus_mask.png")
 
 

@@ -12,6 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from benchmarks.common import (
+    QUICK_QUALITY,
     SHARED,
     Outcome,
     add_volume_argument,
@@ -25,7 +26,7 @@ from benchmarks.common import (
     stopwatch,
     tell_progress,
 )
-from benchmarks.synthetic_photograph import MIDDLE, photograph_by_path_tracing
+from benchmarks.synthetic_photograph import MIDDLE, photograph_of_opacity
 from cloudfit.batch import BatchSettings, fit_folder
 from cloudfit.fit_types import FitOptions
 from cloudfit.optimisers import OPTIMISERS
@@ -81,14 +82,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Outcome:
     """Fit each photograph; a quick run fits one that it renders itself."""
     if arguments.quick:
-        arguments.width, arguments.quality = 64, "draft"
+        arguments.width = 48
     set_threads(arguments.threads)
     with tempfile.TemporaryDirectory() if arguments.out is None else nullcontext(arguments.out) as folder:
         out = Path(folder)
         out.mkdir(parents=True, exist_ok=True)
         scene, volume = scene_of(arguments, arguments.width, arguments.width * 3 // 4)
         photographs = [_render(arguments, out)] if arguments.quick else list_photographs(arguments.photographs)
-        _, stack = prepare_stack(scene, QUALITIES[arguments.quality], arguments.seed, out / "tables")
+        _, stack = prepare_stack(scene, _options(arguments).quality, arguments.seed, out / "tables")
         records = []
         for photograph in photographs:
             with ProcessPoolExecutor(1, get_context("spawn")) as pool:
@@ -130,10 +131,9 @@ def _fit(task: Task) -> FitRecord:
     arguments = task.arguments
     set_threads(arguments.threads)
     scene, _ = scene_of(arguments, arguments.width, arguments.width * 3 // 4)
-    options = FitOptions(quality=QUALITIES[arguments.quality], optimiser=arguments.optimiser, seed=arguments.seed)
     settings = BatchSettings(task.out / "results" / task.photograph.stem, tables=task.out / "tables", force=True)
     with stopwatch() as seconds:
-        outcome = fit_folder([task.photograph], scene, options, settings).outcomes[0]
+        outcome = fit_folder([task.photograph], scene, _options(arguments), settings).outcomes[0]
     return FitRecord(
         task.photograph.name,
         outcome.status,
@@ -146,8 +146,14 @@ def _fit(task: Task) -> FitRecord:
     )
 
 
+def _options(arguments: argparse.Namespace) -> FitOptions:
+    quality = QUICK_QUALITY if arguments.quick else QUALITIES[arguments.quality]
+    candidates = 1 if arguments.quick else FitOptions().candidates
+    return FitOptions(quality, optimiser=arguments.optimiser, candidates=candidates, seed=arguments.seed)
+
+
 def _render(arguments: argparse.Namespace, folder: Path) -> Path:
     scene, _ = scene_of(arguments, arguments.width, arguments.width * 3 // 4)
     path = folder / "cumulus.png"
-    photograph_by_path_tracing(scene, scene.camera, MIDDLE, path, noise=0.2, most_samples=64, seed=0)
+    photograph_of_opacity(scene, scene.camera, MIDDLE, path)
     return path

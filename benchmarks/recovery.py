@@ -6,7 +6,6 @@ the loss is compared with is its floor: two images of equal appearance with unre
 """
 
 import argparse
-import math
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
@@ -18,9 +17,11 @@ import torch
 from torch import Tensor
 
 from benchmarks.common import (
+    QUICK_QUALITY,
     Outcome,
     add_jobs_argument,
     add_volume_argument,
+    harmonic_mean,
     scene_of,
     set_threads,
     tell_progress,
@@ -50,7 +51,6 @@ from cloudfit.optimisers import OPTIMISERS
 from cloudfit.quality import QUALITIES, Quality
 from cloudfit.scene import Scene
 from cloudfit.stack import prepare_stack
-from precompute.scattering_orders import Effort
 from render.image_files import write_png
 from render.scattering_stack import ScatteringStack
 
@@ -82,8 +82,7 @@ class Plan:
     def quality(self) -> Quality:
         """Effort of the fit, with tables as large as the pictures."""
         if self.arguments.quick:
-            small = Effort(ORDERS, 4_000, 40_000, 4)
-            return Quality(1.0, small, small, 4, 6, math.inf)
+            return QUICK_QUALITY
         return replace(QUALITIES[self.arguments.quality], table_scale=1.0)
 
     def scene(self) -> tuple[Scene, str]:
@@ -119,7 +118,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quality", choices=QUALITIES, default="standard")
     parser.add_argument("--noise", type=float, default=0.03, help="of a photograph's pixels, relative")
     parser.add_argument("--most-samples", type=int, default=4096, help="paths per pixel that are never exceeded")
-    parser.add_argument("--photograph-width", type=int, default=160, help="path tracing is slow; 4:3")
+    parser.add_argument("--photograph-width", type=int, default=WIDTH, help="fewer are traced sooner; 4:3")
     parser.add_argument("--out", type=Path, help="folder for the photographs, the stack, the pictures and contact.png")
 
 
@@ -181,7 +180,8 @@ NOTES = (
     "loss: of the best candidate's own picture; searched: what the stack promised; truth: of the true parameters on the stack",
     "floor: expected loss of two unrelated samples of the photograph's histogram with as many pixels as photograph and picture; "
     "flat: the same of a flat histogram, 18 / sqrt(pixels)",
-    "noise: median relative standard deviation of a cloud pixel of the photograph; it widens the histogram, see the rows of photograph 00",
+    "noise: relative standard deviation of a cloud pixel of the photograph, median and RMS; it widens the histogram, see the rows of "
+    "photograph 00",
 )
 
 
@@ -249,12 +249,15 @@ def _render(rendering: Rendering) -> PhotographRecord:
     photograph = _photograph(rendering)
     problem = FitProblem(photograph.analysis(), bench.stack)
     unit = problem.space.to_unit(_physical(photograph.truth, bench.stack))
-    tell_progress(f"photograph {rendering.name}: {photograph.samples} paths a pixel, noise {photograph.noise:.1%}")
+    tell_progress(
+        f"photograph {rendering.name}: {photograph.samples} paths a pixel, noise {photograph.noise:.1%} ({photograph.noise_rms:.1%} RMS)"
+    )
     return PhotographRecord(
         rendering.name,
         photograph.truth,
         problem.space.as_dict(unit[0]),
         photograph.noise,
+        photograph.noise_rms,
         photograph.samples,
         int(photograph.cloud.sum()),
         float(problem.evaluate(unit.clamp(0.0, 1.0))[0]),
@@ -292,8 +295,3 @@ def _fit(task: FitTask) -> FitRecord:
         evaluations=fit.evaluations,
         picture=str(picture.relative_to(bench.plan.folder)),
     )
-
-
-def harmonic_mean(first: int, second: int) -> int:
-    """Number of pixels n of two images of one size that differ by chance as images of these two sizes do: 2/n = 1/a + 1/b."""
-    return max(1, round(2.0 / (1.0 / first + 1.0 / second)))

@@ -59,7 +59,7 @@ class PhotographRecord:
         name: of the photograph.
         truth: its parameters.
         unit: true parameters in the unit cube, by name.
-        noise, samples: of the path tracing.
+        noise, noise_rms, samples: of the path tracing.
         cloud_pixels: number that count.
         loss_of_truth: of the true parameters on the stack: what a perfect search would be content with.
     """
@@ -68,6 +68,7 @@ class PhotographRecord:
     truth: Truth
     unit: dict[str, float]
     noise: float
+    noise_rms: float
     samples: int
     cloud_pixels: int
     loss_of_truth: float
@@ -108,7 +109,7 @@ def loss_table(photographs: Sequence[PhotographRecord], fits: Sequence[FitRecord
         rows.append(
             (
                 photograph.name,
-                f"{photograph.noise:.1%}",
+                f"{photograph.noise:.1%}, {photograph.noise_rms:.0%}",
                 str(photograph.cloud_pixels),
                 show(spread(fit.searched_loss for fit in own)),
                 photograph.loss_of_truth,

@@ -6,7 +6,6 @@ its precomputation and 100 ms an iteration, on a GTX 590.
 """
 
 import argparse
-import math
 import multiprocessing
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
@@ -16,6 +15,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.common import (
+    QUICK_QUALITY,
     Outcome,
     add_volume_argument,
     available_cores,
@@ -27,18 +27,15 @@ from benchmarks.common import (
     spread,
     stopwatch,
 )
-from benchmarks.synthetic_photograph import MIDDLE, photograph_from_stack
+from benchmarks.synthetic_photograph import MIDDLE, photograph_of_opacity
 from cloudfit.fit_problem import FitProblem
 from cloudfit.quality import QUALITIES
 from cloudfit.stack import prepare_stack
-from precompute.scattering_orders import Effort
 
 POPULATION = 20
 """Individuals of the genetic algorithm."""
 
 ACCEPTED = {"build_seconds": 90.0, "iteration_ms": 100.0, "peak_memory_mb": 2048.0, "file_mb": 150.0}
-
-QUICK_EFFORT = Effort(4, 4_000, 40_000, 4)
 
 
 @dataclass(frozen=True)
@@ -112,11 +109,9 @@ def measure(task: Task) -> Measured:
     """Build one stack, load it, and evaluate populations on it; runs in a process of its own."""
     set_threads(task.threads)
     quick = task.arguments.quick
-    width, height = (64, 48) if quick else (640, 480)
+    width, height = (32, 24) if quick else (640, 480)
     scene, volume = scene_of(task.arguments, width, height)
-    quality = QUALITIES[task.arguments.quality]
-    if quick:
-        quality = type(quality)(0.5, QUICK_EFFORT, QUICK_EFFORT, 3, 4, math.inf)
+    quality = QUICK_QUALITY if quick else QUALITIES[task.arguments.quality]
     imported = peak_memory_mb()
     with tempfile.TemporaryDirectory() as folder:
         stack, report = prepare_stack(scene, quality, task.seed, Path(folder))
@@ -126,7 +121,7 @@ def measure(task: Task) -> Measured:
         if report.path is None:
             raise RuntimeError("the stack was not written")
         file_mb = report.path.stat().st_size / (1 << 20)
-        analysis = photograph_from_stack(stack, MIDDLE, Path(folder)).analysis()
+        analysis = photograph_of_opacity(scene, scene.camera, MIDDLE, Path(folder) / "cloud.png").analysis()
     problem = FitProblem(analysis, stack)
     generator = torch.Generator().manual_seed(task.seed)
     iterations = []

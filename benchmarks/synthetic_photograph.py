@@ -2,8 +2,7 @@
 
     pixel(c) = a(c) [ c_in(c) L_in grey + c_in(c) ambient (1 - T) + T L_sky(c) ] + (1 - a(c)) L_sky(c),    a(c) = exp(-air_depth(c))
 
-Grey light and transmittance T come from the reference path tracer where the photograph is to be an independent truth, and from a
-stack where only its size matters.
+Grey light and transmittance T come from the reference path tracer where the photograph is to be an independent truth.
 """
 
 import json
@@ -25,7 +24,6 @@ from render.colour import srgb_to_linear
 from render.image_files import write_mask_png, write_png
 from render.path_tracer import ReferenceImage, trace_reference
 from render.ray_march import compute_optical_length
-from render.scattering_stack import ScatteringStack
 
 HORIZON, ZENITH = (0.55, 0.70, 0.86), (0.13, 0.30, 0.66)
 """Linear light of the sky at the bottom and the top of the image."""
@@ -33,7 +31,7 @@ HORIZON, ZENITH = (0.55, 0.70, 0.86), (0.13, 0.30, 0.66)
 BRIGHT_SHARE = 0.95
 """Share of the cloud pixels that are darker than the bright level."""
 
-PILOT_SAMPLES = 32
+PILOT_SAMPLES, LEAST_SAMPLES = 32, 4
 
 ORDERS = 4
 
@@ -97,7 +95,8 @@ class SyntheticPhotograph:
         truth: its parameters, intensity included.
         cloud: `(height, width)` bool, which pixels are cloud.
         sky: `(height, width, channel)` linear light behind the cloud.
-        noise: median over the cloud pixels of the relative standard deviation of their luminance; zero without noise.
+        noise: median over the cloud pixels of their relative standard deviation in green; zero without noise.
+        noise_rms: root mean square of the same, which a few bright pixels dominate where light is scattered strongly forward.
         samples: paths per pixel; zero if none were traced.
     """
 
@@ -106,15 +105,15 @@ class SyntheticPhotograph:
     cloud: Tensor
     sky: Tensor
     noise: float
+    noise_rms: float
     samples: int
 
     def analysis(self) -> PhotographAnalysis:
         """Analysis of the file with mask, sky and sunlight as they truly are."""
         photograph = read_photograph(self.path, max_side=None)
-        labels = torch.where(self.cloud, int(Label.CLOUD), int(Label.SKY)).to(torch.uint8)
         colour, sky = torch.tensor(self.truth.sunlight_colour), self.sky.mean((0, 1))
         sunlight = Sunlight(colour, 0.0, 0.5, sky / sky.max())
-        return PhotographAnalysis(photograph, CloudMask(labels, "user"), self.sky, sunlight, ())
+        return PhotographAnalysis(photograph, CloudMask(_labels(self.cloud), "user"), self.sky, sunlight, ())
 
     def automatic_analysis(self) -> PhotographAnalysis:
         """Analysis of the file as a fit does it."""
@@ -125,19 +124,12 @@ class SyntheticPhotograph:
         return read_photograph(self.path, max_side=None)
 
 
-def photograph_from_stack(stack: ScatteringStack, truth: Truth, folder: Path) -> SyntheticPhotograph:
-    """Photograph without noise, composed from the stack that may fit it: for timings only."""
-    tables = stack.tables
-    values = (truth.asymmetry, truth.optical_depth / tables.largest_optical_length, truth.albedo)
-    with torch.no_grad():
-        layers = stack(*(torch.tensor([value]) for value in values))
-    pixels = tables.width * tables.height
-    grey, transmittance, optical_length = torch.zeros(pixels), torch.ones(pixels), torch.zeros(pixels)
-    grey[tables.pixel] = (layers.single + layers.multiple)[0]
-    transmittance[tables.pixel] = layers.transmittance[0]
-    optical_length[tables.pixel] = tables.optical_length
-    cloud = visible_share(optical_length).unflatten(0, (tables.height, tables.width))
-    return _write(folder / "from_stack.png", truth, grey, transmittance, cloud)
+def photograph_of_opacity(scene: Scene, camera: Camera, truth: Truth, path: Path) -> SyntheticPhotograph:
+    """Photograph of a cloud that is equally bright everywhere, grey = 1 - T: at once, without noise, for timings and quick runs."""
+    optical_length = compute_optical_length(scene.grid, *camera.rays())
+    cloud = visible_share(optical_length).unflatten(0, (camera.height, camera.width))
+    transmittance = torch.exp(-truth.optical_depth * optical_length / optical_length.max())
+    return _write(path, truth, 1.0 - transmittance, transmittance, cloud)
 
 
 def photograph_by_path_tracing(
@@ -172,7 +164,7 @@ def photograph_by_path_tracing(
         if known["key"] == key:
             exact = replace(truth, sunlight_intensity=known["sunlight_intensity"])
             sky = sky_gradient(camera.width, camera.height)
-            return SyntheticPhotograph(path, exact, cloud, sky, known["noise"], known["samples"])
+            return SyntheticPhotograph(path, exact, cloud, sky, known["noise"], known["noise_rms"], known["samples"])
 
     def trace(samples: int, stream: int) -> ReferenceImage:
         return trace_reference(
@@ -188,14 +180,19 @@ def photograph_by_path_tracing(
         )
 
     pilot = trace(PILOT_SAMPLES, 0)
-    ratio = _noise(pilot, truth, cloud) / noise
-    samples = min(most_samples, max(PILOT_SAMPLES, round(PILOT_SAMPLES * ratio * ratio)))
+    ratio = _noise(pilot, truth, cloud)[0] / noise
+    samples = min(most_samples, max(LEAST_SAMPLES, round(PILOT_SAMPLES * ratio * ratio)))
     image = trace(samples, 1)
     photograph = _write(path, truth, image.radiance, image.transmittance, cloud)
-    photograph = replace(photograph, noise=_noise(image, truth, cloud), samples=samples)
-    kept = {"key": key, "noise": photograph.noise, "samples": samples, **asdict(photograph.truth)}
+    reached, rms = _noise(image, truth, cloud)
+    photograph = replace(photograph, noise=reached, noise_rms=rms, samples=samples)
+    kept = {"key": key, "noise": reached, "noise_rms": rms, "samples": samples, **asdict(photograph.truth)}
     sidecar.write_text(json.dumps(kept, indent=2) + "\n")
     return photograph
+
+
+def _labels(cloud: Tensor) -> Tensor:
+    return torch.where(cloud, int(Label.CLOUD), int(Label.SKY)).to(torch.uint8)
 
 
 def _intensity(truth: Truth, grey: Tensor, cloud: Tensor) -> float:
@@ -205,8 +202,8 @@ def _intensity(truth: Truth, grey: Tensor, cloud: Tensor) -> float:
     return (level - truth.ambient) / bright
 
 
-def _noise(image: ReferenceImage, truth: Truth, cloud: Tensor) -> float:
-    """Median relative standard deviation of the green channel of the cloud pixels."""
+def _noise(image: ReferenceImage, truth: Truth, cloud: Tensor) -> tuple[float, float]:
+    """Median and root mean square of the relative standard deviation of the green channel of the cloud pixels."""
     sky = sky_gradient(cloud.shape[1], cloud.shape[0])[..., 1].flatten()
     intensity, colour = _intensity(truth, image.radiance, cloud), truth.sunlight_colour[1]
     value = colour * (intensity * image.radiance + truth.ambient * (1.0 - image.transmittance))
@@ -214,7 +211,8 @@ def _noise(image: ReferenceImage, truth: Truth, cloud: Tensor) -> float:
     variance = (colour * intensity) ** 2 * image.radiance_variance + slope**2 * image.transmittance_variance
     share = torch.exp(torch.tensor(-truth.air_depth[1]))
     seen = share * (value + image.transmittance * sky) + (1.0 - share) * sky
-    return float((share * variance.sqrt() / seen)[cloud.flatten()].median())
+    relative = (share * variance.sqrt() / seen)[cloud.flatten()]
+    return float(relative.median()), float(relative.square().mean().sqrt())
 
 
 def _write(path: Path, truth: Truth, grey: Tensor, transmittance: Tensor, cloud: Tensor) -> SyntheticPhotograph:
@@ -228,5 +226,5 @@ def _write(path: Path, truth: Truth, grey: Tensor, transmittance: Tensor, cloud:
     air = torch.exp(-torch.tensor(truth.air_depth))
     path.parent.mkdir(parents=True, exist_ok=True)
     write_png(path, air * in_front + (1.0 - air) * sky)
-    write_mask_png(path.with_name(f"{path.stem}_mask.png"), cloud)
-    return SyntheticPhotograph(path, exact, cloud, sky, 0.0, 0)
+    write_mask_png(path.with_name(f"{path.stem}_mask.png"), _labels(cloud))
+    return SyntheticPhotograph(path, exact, cloud, sky, 0.0, 0.0, 0)

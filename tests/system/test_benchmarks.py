@@ -1,0 +1,159 @@
+"""Every benchmark runs in its quick version, prints its answer and writes the same as JSON."""
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.__main__ import BENCHMARKS, main
+from benchmarks.common import harmonic_mean, peak_memory_mb, spread
+from benchmarks.masks import compare
+from benchmarks.synthetic_photograph import MIDDLE, draw_truth, photograph_by_path_tracing
+from cloudfit.scene import Scene
+from render.camera import frame_volume
+from render.image_files import write_mask_png, write_png
+from render.procedural_cloud import build_cumulus
+
+
+@pytest.fixture(autouse=True)
+def _same_threads() -> Iterator[None]:
+    """Benchmarks set the number of threads of their process; put it back."""
+    threads = torch.get_num_threads(), cv2.getNumThreads()
+    yield
+    torch.set_num_threads(threads[0])
+    cv2.setNumThreads(threads[1])
+
+
+def run_quick(name: str, folder: Path, capsys: pytest.CaptureFixture[str], *more: str) -> tuple[dict, str]:
+    file = folder / "result.json"
+    assert main([name, "--quick", "--json", str(file), *more]) == 0
+    return json.loads(file.read_text()), capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_every_benchmark_asks_one_question(name: str) -> None:
+    assert BENCHMARKS[name].question.endswith("?")
+
+
+def test_the_cost_of_a_stack_stands_beside_its_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result, out = run_quick("stack_cost", tmp_path, capsys, "--threads", "1")
+    measures = result["measures"]
+    assert result["machine"]["threads"] == 1
+    assert result["machine"]["versions"]["torch"]
+    assert measures["build_seconds"]["median"] > 0.0
+    assert 0.0 < measures["image_error_median"]["median"] <= measures["image_error_worst"]["median"] < 1.0
+    assert measures["memory_after_imports_mb"]["median"] <= measures["peak_memory_of_build_mb"]["median"]
+    assert "iteration_ms" in out
+
+
+@pytest.mark.slow
+def test_known_parameters_are_reported_beside_those_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result, out = run_quick("recovery", tmp_path, capsys)
+    assert len(result["fits"]) == 8  # two photographs and two noisier versions of the first, two seeds each
+    assert result["summary"]["loss / floor"]["count"] == 4
+    assert all(0.0 < fit["floor"] < fit["flat_floor"] for fit in result["fits"])
+    noise = [photograph["noise"] for photograph in result["photographs"]]
+    assert noise[2] > noise[3] > noise[0] > 0.0
+    assert "loss / floor" in out
+
+
+@pytest.mark.slow
+def test_fits_of_a_folder_are_listed_with_their_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result, out = run_quick("photographs", tmp_path, capsys, "--threads", "1")
+    (photograph,) = result["photographs"]
+    assert photograph["status"] == "done", photograph["reason"]
+    assert photograph["peak_memory_mb"] > 50.0
+    assert "cumulus.png" in out
+
+
+def test_masks_are_compared_with_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result, out = run_quick("masks", tmp_path, capsys)
+    (photograph,) = result["photographs"]
+    assert 0.9 < photograph["balanced_accuracy"] <= 1.0
+    assert "balanced accuracy" in out
+
+
+def test_agreement_with_labels_counts_every_label(tmp_path: Path) -> None:
+    # A white disk on a blue sky, half of it labelled as cloud, and labels of sky on both.
+    pixels = torch.tensor([0.1, 0.3, 0.7]).repeat(96, 128, 1)
+    y, x = torch.meshgrid(torch.arange(96), torch.arange(128), indexing="ij")
+    disk = (x - 64) ** 2 + (y - 48) ** 2 < 30**2
+    pixels[disk] = 0.9
+    write_png(tmp_path / "disk.png", pixels)
+    labels = np.zeros((96, 128), np.uint8)
+    labels[44:52, 50:64] = 255
+    labels[5:15, 5:25] = 170
+    write_mask_png(tmp_path / "disk_right.png", labels)
+    right = compare(tmp_path / "disk.png", tmp_path / "disk_right.png")
+    assert (right.cloud_met, right.sky_not_cloud, right.balanced_accuracy) == (1.0, 1.0, 1.0)
+    assert right.other_as_cloud is None
+    labels[44:52, 64:78] = 170  # as many labels of sky on the disk as a little more than half of those beside it
+    write_mask_png(tmp_path / "disk_wrong.png", labels)
+    wrong = compare(tmp_path / "disk.png", tmp_path / "disk_wrong.png")
+    assert wrong.sky_not_cloud == pytest.approx(200 / (200 + 8 * 14))
+    assert wrong.balanced_accuracy == pytest.approx(0.5 + 100 / (200 + 8 * 14))
+
+
+def test_the_synthetic_photograph_has_the_brightness_and_the_noise_that_it_states(tmp_path: Path) -> None:
+    grid = build_cumulus(16)
+    scene = Scene(grid, None, frame_volume(grid, width=24, height=18), 2.0, 0.7)
+    made = [
+        photograph_by_path_tracing(
+            scene, scene.camera, MIDDLE, tmp_path / f"{seed}.png", noise=0.1, most_samples=256, seed=seed
+        )
+        for seed in range(2)
+    ]
+    assert all(0.05 < photograph.noise < 0.15 for photograph in made)
+    values = [photograph.read().pixels[photograph.cloud] for photograph in made]
+    relative = (values[0] - values[1])[:, 1] / (0.5 * (values[0] + values[1]))[:, 1]
+    measured = float(relative.abs().median()) / 0.6745 / math.sqrt(2.0)
+    assert measured == pytest.approx(made[0].noise, rel=0.35)
+    again = photograph_by_path_tracing(
+        scene, scene.camera, MIDDLE, tmp_path / "0.png", noise=0.1, most_samples=256, seed=0
+    )
+    assert again.truth == made[0].truth
+    assert again.noise == made[0].noise
+
+
+def test_true_parameters_are_reproducible_and_in_their_ranges() -> None:
+    truths = [draw_truth(torch.Generator().manual_seed(seed)) for seed in range(50)]
+    assert truths[7].asymmetry == draw_truth(torch.Generator().manual_seed(7)).asymmetry
+    assert all(2.0 <= truth.optical_depth <= 60.0 and 0.8 <= truth.albedo <= 1.0 for truth in truths)
+    assert len({truth.asymmetry for truth in truths}) == 50
+
+
+def test_median_and_quartiles() -> None:
+    assert spread([4.0, 1.0, 3.0, 2.0, 5.0]) == {
+        "median": 3.0,
+        "lower_quartile": 2.0,
+        "upper_quartile": 4.0,
+        "smallest": 1.0,
+        "largest": 5.0,
+        "count": 5,
+    }
+    assert spread([2.0])["upper_quartile"] == 2.0
+    with pytest.raises(ValueError, match="no measurements"):
+        spread([])
+
+
+def test_two_pixel_counts_make_one() -> None:
+    assert harmonic_mean(100, 100) == 100
+    assert harmonic_mean(1, 1_000_000) == 2
+
+
+def test_memory_is_counted_in_mebibytes() -> None:
+    block = np.ones(64 << 20, np.uint8)
+    peak = peak_memory_mb()
+    assert 64.0 < peak < 64_000.0
+    assert block[-1] == 1
+    assert peak_memory_mb() >= peak
+
+
+def test_an_unknown_volume_is_an_error_with_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["recovery", "--volume", "no/such/volume.npz"]) == 3
+    assert "no/such/volume.npz" in capsys.readouterr().err
