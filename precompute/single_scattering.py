@@ -22,6 +22,11 @@ ABSORPTION_SAMPLES = 4096
 """Samples of the mean absorption over the optical length, evenly spaced in its logarithm; they only say where to cut."""
 
 
+CAMERA_SHARE = 0.5
+"""Step along camera rays over that towards the sun. They cost next to nothing beside the marches towards the sun, and at an optical depth
+of 25 over 32 voxels a step of half a voxel made the image 1.9 per cent too bright, an eighth 0.7."""
+
+
 def compute_single_scattering(
     grid: DensityGrid,
     origin: Tensor,
@@ -47,7 +52,7 @@ def compute_single_scattering(
     """
     parts = [
         _integrate_rays(grid, origin[rays], direction[rays], sun_direction, extinction, step, sections)
-        for rays in ray_chunks(grid, len(origin))
+        for rays in ray_chunks(grid, len(origin), CAMERA_SHARE * step)
     ]
     return torch.cat(parts, dim=1) if parts else torch.zeros(len(extinction), 0)
 
@@ -61,7 +66,8 @@ def _integrate_rays(
     step: float,
     sections: int,
 ) -> Tensor:
-    distance, optical_length = _cut_into_sections(march_rays(grid, origin, direction), extinction, sections)
+    profile = march_rays(grid, origin, direction, CAMERA_SHARE * step)
+    distance, optical_length = _cut_into_sections(profile, extinction, sections)
     points = origin[:, None] + distance[..., None] * direction[:, None]
     # Rounded to outside of the face, a point would miss the box altogether where the sun is parallel to that face.
     points = points.clamp(grid.lower, grid.upper)
