@@ -5,7 +5,7 @@ import torch
 
 from render import ray_march
 from render.density_grid import DensityGrid
-from render.ray_march import compute_optical_length, march_rays, ray_chunks
+from render.ray_march import compute_optical_length, interpolate_in_rows, locate_in_rows, march_rays, ray_chunks
 from tests.support.volumes import noise_box, ramp_box, random_rays, scaled, uniform_box
 
 
@@ -124,3 +124,19 @@ def test_memory_is_bounded_by_chunks_that_cover_all_rays(monkeypatch: pytest.Mon
     assert [i for chunk in chunks for i in range(chunk.start, chunk.stop)] == list(range(50))
     assert max(chunk.stop - chunk.start for chunk in chunks) * 2.0 * grid.radius / 0.5 <= 100
     torch.testing.assert_close(compute_optical_length(grid, origin, direction), expected, rtol=0.02, atol=0.02)
+
+
+def test_rows_are_inverted_where_they_rise() -> None:
+    known = torch.tensor([[0.0, 1.0, 1.0, 3.0], [0.0, 0.0, 2.0, 2.0]])
+    places = torch.tensor([[0.0, 1.0, 2.0, 3.0], [10.0, 11.0, 12.0, 13.0]])
+    cell, fraction = locate_in_rows(known, torch.tensor([[0.0, 0.5, 2.0], [0.0, 1.0, 1.9]]))
+    expected = torch.tensor([[0.0, 0.5, 2.5], [11.0, 11.5, 11.95]])
+    torch.testing.assert_close(interpolate_in_rows(places, cell, fraction), expected)
+    torch.testing.assert_close(interpolate_in_rows(known, cell, fraction)[0], torch.tensor([0.0, 0.5, 2.0]))
+
+
+def test_flat_stretches_end_at_their_end_and_targets_beyond_at_the_last_edge() -> None:
+    known = torch.tensor([[0.0, 1.0, 1.0, 3.0]])
+    cell, fraction = locate_in_rows(known, torch.tensor([[1.0, 3.0, 99.0]]))
+    at = interpolate_in_rows(torch.tensor([[0.0, 1.0, 2.0, 3.0]]), cell, fraction)
+    assert at.tolist() == [[2.0, 3.0, 3.0]]
