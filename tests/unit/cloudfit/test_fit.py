@@ -7,8 +7,8 @@ from cloudfit.fit import describe_doubts, fit_photograph
 from cloudfit.fit_problem import FitProblem
 from cloudfit.fit_types import FitOptions
 from render.errors import ParameterError
-from tests.support.small_scene import TINY, made_up_analysis, small_scene, small_stack
-from tests.unit.cloudfit.test_fit_problem import guess_space_truth, problem_with_known_answer, sky_image
+from tests.support.small_scene import TINY, small_scene, small_stack
+from tests.unit.cloudfit.test_fit_problem import guess_space_truth, problem_with_known_answer
 
 OPTIONS = FitOptions(quality=TINY, evaluations=400, searches=2, candidates=2, seed=5)
 
