@@ -121,6 +121,7 @@ class _Lanes:
         return cls(index, origin, rate, length[index], steps[index], passed, optical_length[index], density)
 
     def keep(self, rows: Tensor, passed: Tensor, density: Tensor) -> "_Lanes":
+        """The flights of some rows, with the optical length they have passed and the density where they are."""
         return _Lanes(
             self.index[rows],
             self.origin[:, rows],

@@ -44,7 +44,6 @@ _FOREIGN_BYTES = (
     OverflowError,
     MemoryError,
     RuntimeError,
-    NotImplementedError,
     struct.error,
     tokenize.TokenError,
     zlib.error,

@@ -128,7 +128,7 @@ ALLOWED = {
     long_functions: "def f() -> None:\n    '''" + "Doc.\n" * 90 + "    '''\n" + "    x = 1\n" * MOST_FUNCTION_LINES,
     forbidden_imports: "import torch\nfrom . import pickle\nunpickle = 'pickle'\n",
     forbidden_calls: "g = torch.Generator()\ng.manual_seed(1)\nmodel.eval()\nnp.load('x', allow_pickle=False)\n",
-    machine_paths: "DATA = 'photos/x.jpg'\nHALF = 'and/or'\nURL = 'https://example.org/work/x'\n",
+    machine_paths: "DATA = 'photos/x.jpg'\nHALF = 'and/or'\nURL = 'https://example.org/opt/x'\n",
 }
 
 
