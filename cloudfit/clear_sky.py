@@ -113,16 +113,20 @@ def _view(display: np.ndarray, in_sky: np.ndarray) -> _SkyView:
 WARM_BLUENESS = -0.08
 GLOW_ROUGHNESS = -4.6
 
-# Share of the sky that must glow before clouds are looked for as silhouettes.
+# Share of the sky that must glow before clouds are looked for as silhouettes; and the part of the sky above the horizon in
+# which a tenth must: a glow stands on the horizon (there 0.4 of a sunset glows), a cloud in evening light floats above it.
 LEAST_GLOW = 0.04
+HORIZON_PART, LEAST_HORIZON_GLOW = 0.1, 0.1
 
 
 def _glow_share(view: _SkyView) -> float:
-    """Share of the sky that is warm and smooth along the row: the glow around a low sun."""
+    """Share of the sky that is warm and smooth along the row, if it stands on the horizon: the glow around a low sun."""
     row_detail = view.blur(view.log_grey, ROW_FINE_SIGMA, 0.5) - view.blur(view.log_grey, ROW_COARSE_SIGMA, 0.5)
     smooth = _log_contrast(view, row_detail) < GLOW_ROUGHNESS
     glow = view.sky & (view.blueness < WARM_BLUENESS) & smooth
-    return float(glow.sum() / view.sky.sum())
+    rows = np.arange(len(glow))[:, None]
+    horizon = view.sky & (rows >= np.quantile(np.nonzero(view.sky)[0], 1.0 - HORIZON_PART))
+    return float(glow.sum() / view.sky.sum()) if glow[horizon].mean() > LEAST_HORIZON_GLOW else 0.0
 
 
 # Widest silhouette, as a share of the picture's width, and the log darkness at which a valley is a cloud.
