@@ -43,14 +43,16 @@ from benchmarks.synthetic_photograph import (
     photograph_by_path_tracing,
 )
 from cloudfit.analysis import PhotographAnalysis
+from cloudfit.colour_histogram import colour_histogram
 from cloudfit.fit import fit_photograph
 from cloudfit.fit_problem import FitProblem
 from cloudfit.fit_types import FitOptions
-from cloudfit.losses import flat_l1_floor, l1_floor
+from cloudfit.losses import LOSSES, flat_l1_floor, l1_floor
 from cloudfit.optimisers import OPTIMISERS
 from cloudfit.quality import QUALITIES, Quality
 from cloudfit.scene import Scene
 from cloudfit.stack import prepare_stack
+from render.cloud_image import blend_air
 from render.image_files import write_png
 from render.scattering_stack import ScatteringStack
 
@@ -116,8 +118,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--analysis", choices=ANALYSES, default="given", help="mask, sky and sunlight")
     parser.add_argument("--optimiser", choices=OPTIMISERS, default="genetic")
     parser.add_argument("--quality", choices=QUALITIES, default="standard")
-    parser.add_argument("--noise", type=float, default=0.03, help="of a photograph's pixels, relative")
-    parser.add_argument("--most-samples", type=int, default=4096, help="paths per pixel that are never exceeded")
+    parser.add_argument("--noise", type=float, default=0.02, help="of a photograph's pixels, relative")
+    parser.add_argument("--most-samples", type=int, default=8192, help="paths per pixel that are never exceeded")
     parser.add_argument("--photograph-width", type=int, default=WIDTH, help="fewer are traced sooner; 4:3")
     parser.add_argument("--out", type=Path, help="folder for the photographs, the stack, the pictures and contact.png")
 
@@ -177,7 +179,8 @@ def _run(plan: Plan) -> Outcome:
 
 NOTES = (
     f"photographs and fit stop at {ORDERS} scatterings; the sky is a smooth gradient; ambient light has the sunlight's colour",
-    "loss: of the best candidate's own picture; searched: what the stack promised; truth: of the true parameters on the stack",
+    "loss: of the best candidate's own picture; searched: what the stack promised; truth: of the true parameters on the stack; "
+    "true air: the same with the true air, without the steps in which the search tries it",
     "floor: expected loss of two unrelated samples of the photograph's histogram with as many pixels as photograph and picture; "
     "flat: the same of a flat histogram, 18 / sqrt(pixels)",
     "noise: relative standard deviation of a cloud pixel of the photograph, median and RMS; it widens the histogram, see the rows of "
@@ -261,7 +264,16 @@ def _render(rendering: Rendering) -> PhotographRecord:
         photograph.samples,
         int(photograph.cloud.sum()),
         float(problem.evaluate(unit.clamp(0.0, 1.0))[0]),
+        _loss_with_true_air(problem, photograph.truth, bench.stack),
     )
+
+
+def _loss_with_true_air(problem: FitProblem, truth: Truth, stack: ScatteringStack) -> float:
+    """Loss of the truth on the stack without the steps of the search over the air."""
+    cloud = problem.compose(_physical(truth, stack))
+    image = blend_air(cloud, problem.sky, torch.tensor([truth.air_depth]))[0]
+    histogram = colour_histogram(image.T.contiguous(), problem.display_curve)
+    return float(LOSSES["l1"](histogram, problem.target).mean())
 
 
 def _fit(task: FitTask) -> FitRecord:

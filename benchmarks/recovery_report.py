@@ -61,7 +61,8 @@ class PhotographRecord:
         unit: true parameters in the unit cube, by name.
         noise, noise_rms, samples: of the path tracing.
         cloud_pixels: number that count.
-        loss_of_truth: of the true parameters on the stack: what a perfect search would be content with.
+        loss_of_truth: of the true parameters on the stack, with the best air that the search tries.
+        loss_with_true_air: the same with the true air: what noise of the photograph and errors of the stack leave.
     """
 
     name: str
@@ -72,6 +73,7 @@ class PhotographRecord:
     samples: int
     cloud_pixels: int
     loss_of_truth: float
+    loss_with_true_air: float
 
 
 def summarise(fits: Sequence[FitRecord], photographs: Sequence[PhotographRecord]) -> dict[str, dict[str, float]]:
@@ -88,6 +90,9 @@ def summarise(fits: Sequence[FitRecord], photographs: Sequence[PhotographRecord]
         "loss / flat floor": spread(f.loss / f.flat_floor for f in fits),
         "searched loss / floor": spread(f.searched_loss / f.floor for f in fits),
         "loss of the truth on the stack / floor": spread(p.loss_of_truth / first[p.name].floor for p in photographs),
+        "loss of the truth with the true air / floor": spread(
+            p.loss_with_true_air / first[p.name].floor for p in photographs
+        ),
         "Wasserstein distance, grey levels": spread(f.wasserstein for f in fits),
         "search, seconds": spread(f.seconds["search"] for f in fits),
         "picture, seconds": spread(f.seconds["pictures"] for f in fits),
@@ -113,6 +118,7 @@ def loss_table(photographs: Sequence[PhotographRecord], fits: Sequence[FitRecord
                 str(photograph.cloud_pixels),
                 show(spread(fit.searched_loss for fit in own)),
                 photograph.loss_of_truth,
+                photograph.loss_with_true_air,
                 show(spread(fit.loss for fit in own)),
                 own[0].floor,
                 own[0].flat_floor,
@@ -120,7 +126,19 @@ def loss_table(photographs: Sequence[PhotographRecord], fits: Sequence[FitRecord
                 show(spread(fit.wasserstein for fit in own)),
             )
         )
-    columns = ("photograph", "noise", "pixels", "searched", "truth", "loss", "floor", "flat", "loss / floor", "levels")
+    columns = (
+        "photograph",
+        "noise",
+        "pixels",
+        "searched",
+        "truth",
+        "true air",
+        "loss",
+        "floor",
+        "flat",
+        "loss / floor",
+        "levels",
+    )
     return make_table("Losses: median [quartiles] over the seeds", columns, rows)
 
 
