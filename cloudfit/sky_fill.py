@@ -10,9 +10,9 @@ from torch import Tensor
 from cloudfit.cloud_mask import CloudMask
 from render.colour import luminance
 
-# Half of the picture's longest side over this is the default growth of the clouds before the fill [pixel]:
+# Share of the longest side by which clouds are grown before the fill. At 0.01 rims and faint wisps showed as ghosts and smears:
 # the blurred rim of a cloud is a mixture that would print a ghost of the cloud into the sky behind it.
-GROWTH_PER_SIDE = 0.01
+GROWTH_PER_SIDE = 0.035
 
 # Longest side of the grid that is solved directly [pixel]. Inside, the solution is smooth; on finer grids it is enlarged
 # and a few steps of conjugate gradients fit it to the finer boundary. Against the direct solution of two photographs of 512
