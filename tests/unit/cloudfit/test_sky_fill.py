@@ -133,6 +133,6 @@ def test_one_pixel_of_sky_fills_all():
 
 
 def test_default_growth_follows_the_size():
-    assert default_growth(768, 1024) == 10
+    assert default_growth(768, 1024) == 36
     assert default_growth(1, 1) == 1
     assert np.all(np.diff([default_growth(s, s) for s in (100, 500, 1000)]) > 0)
