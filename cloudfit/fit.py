@@ -8,9 +8,9 @@ from torch import Tensor
 
 from cloudfit.analysis import PhotographAnalysis
 from cloudfit.candidates import distinct_candidates
-from cloudfit.fit_problem import FitProblem, resize_image
+from cloudfit.fit_problem import FitProblem, resize_image, visible_share
 from cloudfit.fit_types import Candidate, FitOptions, PhotographFit
-from cloudfit.losses import LOSSES, l1_floor
+from cloudfit.losses import LOSSES
 from cloudfit.optimisers import OPTIMISERS
 from cloudfit.optimisers.base import Budget, OptimiserResult, StopReason, pool_results
 from cloudfit.picture import CandidateRendering
@@ -120,7 +120,7 @@ def _render_candidate(
         promised_loss=promised,
         loss=float(air.loss.mean()),
         wasserstein=float(LOSSES["wasserstein"](air.histogram[0], problem.target).mean()),
-        floor=float(l1_floor(problem.target, len(rendering.pixel)).mean()),
+        floor=problem.floor_of(int(visible_share(rendering.optical_length).sum())),
         picture=rendering.picture(lighting, sky, air.air_depth[0]),
         histogram=air.histogram[0],
     )

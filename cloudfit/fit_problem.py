@@ -149,8 +149,14 @@ class FitProblem:
 
     @cached_property
     def floor(self) -> float:
-        """Loss of two images of equal appearance with as many pixels; nothing below it can be told apart."""
-        return float(l1_floor(self.target, len(self.counted)).mean())
+        """Loss that two images of equal appearance reach on the stack's pixels; nothing below it can be told apart."""
+        return self.floor_of(len(self.counted))
+
+    def floor_of(self, pixels: int) -> float:
+        """The floor for a picture with so many counted pixels: that of two samples as large as the harmonic mean of both."""
+        photographed = int(self.analysis.mask.cloud.sum())
+        size = max(1, round(2.0 / (1.0 / photographed + 1.0 / pixels)))
+        return float(l1_floor(self.target, size).mean())
 
     def lighting(self, physical: Tensor) -> Lighting:
         """Light of candidates in units `(population, parameter)`."""

@@ -4,7 +4,7 @@ from torch import Tensor
 
 from cloudfit.fit_problem import FitProblem, brightest_radiance, resize_image, search_haze
 from cloudfit.fit_types import AIR_DEPTHS
-from cloudfit.losses import LOSSES
+from cloudfit.losses import LOSSES, l1_floor
 from render.cloud_image import blend_air
 from render.scattering_stack import ScatteringStack
 from tests.support.small_scene import made_up_analysis, small_stack
@@ -105,3 +105,12 @@ def test_resizing_keeps_the_mean() -> None:
     assert resize_image(image, 15, 10).shape == (10, 15, 3)
     assert torch.allclose(resize_image(image, 15, 10).mean((0, 1)), image.mean((0, 1)), atol=1e-5)
     assert resize_image(image, 90, 60).shape == (60, 90, 3)
+
+
+def test_the_floor_is_that_of_two_samples_and_falls_with_either() -> None:
+    spread = torch.linspace(0.05, 0.95, 400)[:, None].expand(400, 3).contiguous()
+    problem = FitProblem(made_up_analysis(spread, sky_image()), small_stack())
+    equal = problem.floor_of(400)
+    assert equal == pytest.approx(float(l1_floor(problem.target, 400).mean()), rel=1e-6)
+    assert problem.floor_of(100) > equal > problem.floor_of(10**9)
+    assert problem.floor_of(10**9) == pytest.approx(float(l1_floor(problem.target, 800).mean()), rel=1e-3)
