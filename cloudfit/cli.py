@@ -1,6 +1,5 @@
 """The program `cloudfit`."""
 
-import os
 from typing import Annotated
 
 import typer
@@ -43,7 +42,4 @@ def describe(
 
 def main() -> None:
     """Run the program; the exit code tells how it went."""
-    # torch, imported later, reads this once. Threads that spin while they wait are several times slower than threads that sleep as
-    # soon as anything else wants the same cores.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     app()
