@@ -113,6 +113,7 @@ class _Lanes:
         steps: Tensor,
         optical_length: Tensor,
     ) -> "_Lanes":
+        """Flights that enter the volume, at their first sample."""
         index = torch.nonzero(length > 0).flatten()
         origin = grid.voxel_coordinates(position[index] + near[index, None] * direction[index]).T.contiguous()
         rate = (direction[index] / grid.voxel_size * length[index, None]).T.contiguous()

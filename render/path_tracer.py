@@ -129,6 +129,8 @@ class _Sums:
         self.total_square.index_add_(0, pixel, total * total)
 
     def finish(self, samples: int) -> ReferenceImage:
+        """Means, and the variances of the means, after `samples` paths from each pixel."""
+
         def moments(total: Tensor, square: Tensor) -> tuple[Tensor, Tensor]:
             mean = total / samples
             variance = (square / samples - mean * mean).clamp(min=0.0) / (samples - 1)

@@ -149,4 +149,5 @@ def test_the_result_is_json_that_every_parser_reads(tmp_path: Path) -> None:
     def refuse(name: str) -> None:
         raise AssertionError(name)
 
-    json.loads((tmp_path / "out" / "a" / "result.json").read_text(), parse_constant=refuse)
+    document = json.loads((tmp_path / "out" / "a" / "result.json").read_text(), parse_constant=refuse)
+    assert document["status"] == "done"
