@@ -7,7 +7,6 @@ The package carries them ready-made, since a hundred paths a pixel take minutes;
 them again.
 """
 
-import math
 import shutil
 import sys
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from render.image_files import write_png
 from render.path_tracer import trace_reference
 from render.procedural_cloud import build_cumulus
 from render.ray_march import compute_optical_length
+from render.units import radians_from_degrees
 
 WIDTH, HEIGHT = 400, 300
 RESOLUTION = 112
@@ -126,8 +126,10 @@ def simple_sky(zenith: Colour, horizon: Colour, width: int, height: int) -> Tens
 def render_example(example: Example, samples: int = SAMPLES, seed: int = 0) -> Tensor:
     """Linear image `(height, width, channel)` of one example, by the reference path tracer with `samples` paths a pixel."""
     grid = build_cumulus(RESOLUTION, example.cloud_seed)
-    camera = frame_volume(grid, width=WIDTH, height=HEIGHT, azimuth=math.radians(example.view_azimuth_deg))
-    sun = direction_from_angles(math.radians(example.sun_azimuth_deg), math.radians(example.sun_elevation_deg))
+    camera = frame_volume(grid, width=WIDTH, height=HEIGHT, azimuth=radians_from_degrees(example.view_azimuth_deg))
+    sun = direction_from_angles(
+        radians_from_degrees(example.sun_azimuth_deg), radians_from_degrees(example.sun_elevation_deg)
+    )
     traced = trace_reference(
         grid,
         camera,

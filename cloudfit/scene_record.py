@@ -14,6 +14,7 @@ from render.camera import Camera, OrthographicCamera, PinholeCamera, Vector, dir
 from render.density_grid import DensityGrid
 from render.errors import CameraError, VolumeError
 from render.procedural_cloud import build_cumulus
+from render.units import degrees_from_radians, radians_from_degrees
 from render.volume_files import read_volume
 
 CUMULUS_RESOLUTION = 128
@@ -44,8 +45,8 @@ def describe_scene(scene: Scene) -> dict[str, Any]:
             "upper_m": scene.grid.upper.tolist(),
         },
         "camera": describe_camera(scene.camera),
-        "sun_azimuth_deg": math.degrees(scene.sun_azimuth),
-        "sun_elevation_deg": math.degrees(scene.sun_elevation),
+        "sun_azimuth_deg": degrees_from_radians(scene.sun_azimuth),
+        "sun_elevation_deg": degrees_from_radians(scene.sun_elevation),
     }
 
 
@@ -65,7 +66,7 @@ def describe_camera(camera: Camera) -> dict[str, Any]:
         "height": camera.height,
     }
     if isinstance(camera, PinholeCamera):
-        return {"type": "pinhole", **common, "field_of_view_deg": math.degrees(camera.field_of_view)}
+        return {"type": "pinhole", **common, "field_of_view_deg": degrees_from_radians(camera.field_of_view)}
     return {"type": "orthographic", **common, "view_height_m": camera.view_height}
 
 
@@ -79,7 +80,7 @@ def camera_from_record(record: Mapping[str, Any]) -> PinholeCamera | Orthographi
         position, target, up = (_vector(record[name]) for name in ("position_m", "target_m", "up"))
         width, height = int(record["width"]), int(record["height"])
         if record["type"] == "pinhole":
-            field_of_view = math.radians(float(record["field_of_view_deg"]))
+            field_of_view = radians_from_degrees(float(record["field_of_view_deg"]))
             return PinholeCamera(position, target, field_of_view, width, height, up)
         if record["type"] == "orthographic":
             return OrthographicCamera(position, target, float(record["view_height_m"]), width, height, up)
@@ -109,8 +110,8 @@ def scene_from_record(record: Mapping[str, Any], volume: Path | None = None) -> 
         grid=grid,
         volume=path,
         camera=camera_from_record(record["camera"]),
-        sun_azimuth=math.radians(record["sun_azimuth_deg"]),
-        sun_elevation=math.radians(record["sun_elevation_deg"]),
+        sun_azimuth=radians_from_degrees(record["sun_azimuth_deg"]),
+        sun_elevation=radians_from_degrees(record["sun_elevation_deg"]),
     )
 
 

@@ -1,12 +1,13 @@
 """Options that several commands share, and what they mean in metres and radians."""
 
 import enum
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from render.units import radians_from_degrees
 
 if TYPE_CHECKING:
     from cloudfit.fit_types import FitOptions
@@ -133,13 +134,15 @@ class SceneChoice:
             grid,
             width=self.camera_width,
             height=self.camera_height,
-            azimuth=math.radians(self.camera_azimuth),
-            elevation=math.radians(self.camera_elevation),
-            field_of_view=math.radians(self.camera_fov),
+            azimuth=radians_from_degrees(self.camera_azimuth),
+            elevation=radians_from_degrees(self.camera_elevation),
+            field_of_view=radians_from_degrees(self.camera_fov),
             distance=self.camera_distance,
             orthographic=self.camera_type is CameraType.ORTHOGRAPHIC,
         )
-        return Scene(grid, self.volume, camera, math.radians(self.sun_azimuth), math.radians(self.sun_elevation))
+        return Scene(
+            grid, self.volume, camera, radians_from_degrees(self.sun_azimuth), radians_from_degrees(self.sun_elevation)
+        )
 
     def describe(self) -> str:
         """The volume in words."""

@@ -1,6 +1,5 @@
 """`cloudfit render`: a fitted result at any size, from any side, under any sun."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,6 +8,7 @@ import typer
 
 from cloudfit.commands import options as o
 from cloudfit.commands.console import EXIT_CODES, Speaker, print_json, reported_errors
+from render.units import radians_from_degrees
 
 if TYPE_CHECKING:
     from cloudfit.fit_types import Picture
@@ -71,14 +71,16 @@ def render(
         document = read_result(result)
         fitted = _pick(document, candidate, result)
         scene = scene_from_record(document["scene"], volume)
-        angles = [None if a is None else math.radians(a) for a in (camera_azimuth, camera_elevation, camera_fov)]
+        angles = [
+            None if a is None else radians_from_degrees(a) for a in (camera_azimuth, camera_elevation, camera_fov)
+        ]
         camera = turn_camera(_fitted_camera(scene), angles[0], angles[1], angles[2], camera_distance)
         camera = camera.resized(*_size(camera.width, camera.height, width, height))
         scene = replace(
             scene,
             camera=camera,
-            sun_azimuth=scene.sun_azimuth if sun_azimuth is None else math.radians(sun_azimuth),
-            sun_elevation=scene.sun_elevation if sun_elevation is None else math.radians(sun_elevation),
+            sun_azimuth=scene.sun_azimuth if sun_azimuth is None else radians_from_degrees(sun_azimuth),
+            sun_elevation=scene.sun_elevation if sun_elevation is None else radians_from_degrees(sun_elevation),
         )
         preset = quality.value if quality is not None else document["options"]["quality"]
         with speaker.progress() as bars:
