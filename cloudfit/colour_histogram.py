@@ -117,16 +117,17 @@ def colour_histogram(pixels: Tensor, display_curve: str = "srgb") -> Tensor:
 def haze_histograms(
     cloud: Tensor, sky: Tensor, haze_weights: Tensor | Sequence[float], display_curve: str = "srgb"
 ) -> Tensor:
-    """Histograms of every rendered cloud behind every amount of air (Dobashi et al. 2012, eq. 3).
+    """Histograms of every rendered cloud behind several amounts of air (Dobashi et al. 2012, eq. 3).
 
-    image = a cloud + (1 - a) sky for each weight a = exp(-kappa_a t_c). Blocks of pixels are counted on
+    image = a cloud + (1 - a) sky for each weight a = exp(-kappa_a t_c), cloud and sky exactly at its ends. Blocks of pixels are counted on
     `torch.get_num_threads()` threads, and no hazy image is ever held whole, so that the memory used beside the
     arguments and the result does not grow with the number of pixels.
 
     Args:
         cloud: (population, channel, pixel) linear light of the cloud pixels, with the sky that shines through it.
         sky: (channel, pixel) linear light of the sky behind the same pixels.
-        haze_weights: (kappa,) shares a of the cloud's own light, in 0..1.
+        haze_weights: shares a of the cloud's own light, in 0..1: (kappa,) the same for all, or (population, kappa,
+            channel) each its own.
         display_curve: name of one of the `DISPLAY_CURVES`.
 
     Returns:
@@ -139,17 +140,21 @@ def haze_histograms(
     weights = torch.as_tensor(haze_weights, dtype=torch.float64)
     _require_haze_arguments(cloud, sky, weights)
     table = build_level_table(display_curve)
-    clouds, skies, haze = _as_array(cloud), _as_array(sky), _as_array(weights)[:, None]
+    if weights.ndim == 1:
+        weights = weights[:, None].expand(len(cloud), -1, CHANNELS)
+    clouds, skies, haze = _as_array(cloud), _as_array(sky), _as_array(weights)
     # A float64 sum of float32 values is finite exactly when they all are.
     with np.errstate(invalid="ignore"):
         finite = np.isfinite(clouds.sum(axis=-1, dtype=np.float64) + skies.sum(axis=-1, dtype=np.float64))
-    counts = np.zeros((clouds.shape[0], len(haze), CHANNELS, LEVELS))
+    counts = np.zeros((*haze.shape, LEVELS))
     lock = Lock()
 
     def count(job: tuple[int, int]) -> None:
         channel, start = job
         block = slice(start, start + PIXELS_PER_BLOCK)
-        part = _count_block(clouds[:, channel, block], skies[channel, block], haze, finite[:, channel], table)
+        part = _count_block(
+            clouds[:, channel, block], skies[channel, block], haze[:, :, channel, None], finite[:, channel], table
+        )
         with lock:
             counts[:, :, channel] += part
 
@@ -167,26 +172,28 @@ def _count_block(
     Args:
         clouds: (population, pixel).
         sky: (pixel,).
-        haze: (kappa, 1).
+        haze: (population, kappa, 1).
         finite: (population,) whether to count a candidate.
         table: levels of the bent values.
 
     Returns:
         (population, kappa, bin); NaN for a candidate that is not counted.
     """
-    shape = (len(haze), len(sky))
+    hazes = haze.shape[1]
+    shape = (hazes, len(sky))
     hazy, steps, levels = np.empty(shape, np.float32), np.empty(shape, np.uint16), np.empty(shape, np.uint8)
-    rows = np.repeat(np.arange(len(haze), dtype=np.uint8)[:, None], len(sky), axis=1)
-    air = (1 - haze) * sky
-    counts = np.full((len(clouds), len(haze), LEVELS), np.nan)
+    rows = np.repeat(np.arange(hazes, dtype=np.uint8)[:, None], len(sky), axis=1)
+    counts = np.full((len(clouds), hazes, LEVELS), np.nan)
     for candidate in np.flatnonzero(finite):
-        np.multiply(haze, clouds[candidate], out=hazy)
-        np.add(hazy, air, out=hazy)
+        np.multiply(haze[candidate], clouds[candidate] - sky, out=hazy)
+        np.add(hazy, sky, out=hazy)
+        # The last bit of sky + (cloud - sky) is not the cloud's.
+        hazy[haze[candidate, :, 0] == 1] = clouds[candidate]
         np.clip(hazy, np.float32(0), np.float32(1), out=hazy)
         table.bend.apply(hazy)
         np.multiply(hazy, np.float32(STEPS), out=steps, casting="unsafe")
         _look_up_levels(steps, table.levels, levels)
-        joint = cv2.calcHist([levels, rows], [0, 1], None, [LEVELS, len(haze)], [0, LEVELS, 0, len(haze)])
+        joint = cv2.calcHist([levels, rows], [0, 1], None, [LEVELS, hazes], [0, LEVELS, 0, hazes])
         counts[candidate] = joint.T
     return counts
 
@@ -223,5 +230,11 @@ def _require_haze_arguments(cloud: Tensor, sky: Tensor, weights: Tensor) -> None
             "expected cloud (population, channel, pixel) and sky (channel, pixel) with three channels and the same "
             f"one or more pixels, got {tuple(cloud.shape)} and {tuple(sky.shape)}"
         )
-    if weights.ndim != 1 or not 1 <= len(weights) <= MOST_HAZES or not bool(((weights >= 0) & (weights <= 1)).all()):
-        raise ParameterError(f"haze_weights: expected (kappa,) = 1 to {MOST_HAZES} shares in 0..1, got {weights}")
+    shared = weights.ndim == 1
+    hazes = weights.shape[0] if shared else weights.shape[1] if weights.ndim == 3 else 0
+    fits = shared or weights.shape == (len(cloud), hazes, CHANNELS)
+    if not fits or not 1 <= hazes <= MOST_HAZES or not bool(((weights >= 0) & (weights <= 1)).all()):
+        raise ParameterError(
+            f"haze_weights: expected (kappa,) or (population, kappa, channel) = ({len(cloud)}, kappa, {CHANNELS}), kappa 1 to "
+            f"{MOST_HAZES}, shares in 0..1; got {tuple(weights.shape)}: {weights}"
+        )

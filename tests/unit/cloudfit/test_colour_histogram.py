@@ -99,6 +99,22 @@ def test_the_ends_of_the_haze_are_cloud_and_sky_exactly() -> None:
     assert moved_share(histograms[0, 0], histograms[0, 1]) > 0.1
 
 
+def test_every_candidate_and_channel_may_have_air_of_its_own() -> None:
+    cloud, sky = random_pixels(3, 3, 5000, seed=15), random_pixels(3, 5000, seed=16)
+    weights = torch.rand(3, 4, 3, generator=torch.Generator().manual_seed(17))
+    weights[0, 0], weights[1, 1] = 1.0, 0.0
+    histograms = haze_histograms(cloud, sky, weights)
+    assert histograms.shape == (3, 4, 3, LEVELS)
+    for candidate in range(3):
+        for channel in range(3):
+            shared = haze_histograms(cloud, sky, weights[candidate, :, channel])
+            assert torch.equal(histograms[candidate, :, channel], shared[candidate, :, channel])
+            wrong = shared[(candidate + 1) % 3, :, (channel + 1) % 3]
+            assert not torch.equal(histograms[candidate, :, channel], wrong)
+    assert torch.equal(histograms[0, 0], colour_histogram(cloud[0].T))
+    assert torch.equal(histograms[1, 1], colour_histogram(sky.T))
+
+
 def test_threads_and_blocks_do_not_change_a_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud, sky = random_pixels(3, 3, 5000, seed=8), random_pixels(3, 5000, seed=9)
     weights = torch.linspace(0, 1, 11)
@@ -164,9 +180,10 @@ def test_wrong_arguments_are_named() -> None:
         haze_histograms(cloud, sky[:, :9], [1.0])
     with pytest.raises(ParameterError, match="one or more pixels"):
         haze_histograms(cloud[:, :, :0], sky[:, :0], [1.0])
-    for weights in ([1.1], [-0.1], [math.nan], [], [[1.0]], [0.5] * 257):
+    own = torch.full((2, 4, 3), 0.5)
+    for weights in ([1.1], [-0.1], [math.nan], [], [[1.0]], [0.5] * 257, own[:1], own[:, :0], own[:, :, :2], own * 3):
         with pytest.raises(ParameterError, match="haze_weights"):
-            haze_histograms(cloud, sky, torch.tensor(weights))
+            haze_histograms(cloud, sky, torch.as_tensor(weights))
     with pytest.raises(ParameterError, match=r"srgb, none.*'film'"):
         haze_histograms(cloud, sky, [1.0], "film")
     for shape in ((10, 4), (0, 3), (3,)):
