@@ -53,7 +53,7 @@ def fit_photograph(
     """
     if options.optimiser not in OPTIMISERS:
         raise ParameterError(f"no optimiser is called {options.optimiser!r}; there are {', '.join(OPTIMISERS)}")
-    problem = FitProblem(analysis, stack, options.ambient, options.transfer)
+    problem = FitProblem(analysis, stack, options.ambient, options.transfer, options.air_refinements)
     started = time.perf_counter()
     result = _search(problem, options, on_progress)
     searched = time.perf_counter()
@@ -112,7 +112,7 @@ def _render_candidate(
     rendering = CandidateRendering(scene, parameters, options.quality.picture_effort, options.seed)
     lighting = problem.lighting(physical.to(torch.float32))
     sky = resize_image(problem.analysis.sky, scene.camera.width, scene.camera.height)
-    air = rendering.search_air(lighting, sky, problem.target, options.transfer)
+    air = rendering.search_air(lighting, sky, problem.target, options.transfer, options.air_refinements)
     red, green, blue = air.air_depth[0].tolist()
     return Candidate(
         parameters=parameters,

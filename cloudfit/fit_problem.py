@@ -2,7 +2,8 @@
 
     O = mean over channels of min over kappa of sum over 256 levels |h_image - h_photo|        (Dobashi et al. 2012, equation 2)
 
-The air's optical depth enters each channel alone, so its linear search is 11 x 3 histograms a candidate, not 11^3.
+The air's optical depth enters each channel alone, so its linear search is 11 x 3 histograms a candidate, not 11^3. Around the
+best of the 11 it goes on in finer steps.
 """
 
 import math
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from cloudfit.analysis import PhotographAnalysis
 from cloudfit.colour_histogram import colour_histogram, haze_histograms
-from cloudfit.fit_types import AIR_DEPTHS
+from cloudfit.fit_types import AIR_DEPTHS, AIR_REFINEMENTS, AIR_STEP
 from cloudfit.losses import LOSSES, l1_floor
 from cloudfit.parameters import Ambient, SearchSpace, cloud_search_space
 from render.cloud_image import Lighting, compose_cloud
@@ -30,6 +31,9 @@ SUNLIGHT_HEADROOM = 2.0
 
 SUNLIGHT_SPAN = 1000.0
 """Strongest over weakest sunlight that is searched."""
+
+AIR_SUBDIVISION = 3
+"""A third of a step on either side of the best leaves equal steps between the depths that have been tried."""
 
 POPULATION_CHUNK = 32
 """Candidates composed at once; bounds the memory."""
@@ -50,21 +54,47 @@ class HazeSearch:
     histogram: Tensor
 
 
-def search_haze(cloud: Tensor, sky: Tensor, target: Tensor, display_curve: str) -> HazeSearch:
-    """Best optical depth of the air for each candidate and channel.
+def search_haze(cloud: Tensor, sky: Tensor, target: Tensor, display_curve: str, refinements: int) -> HazeSearch:
+    """Best optical depth of the air for each candidate and channel, from coarse to fine.
+
+    First the 11 depths of the paper; then each refinement cuts the step to a third and tries the best depth so far plus and minus a
+    step. Every candidate is searched by itself, so its loss does not depend on its company.
 
     Args:
         cloud: radiance `(population, channel, pixel)`.
         sky: radiance behind it `(channel, pixel)`.
         target: the photograph's histogram `(channel, bin)`.
         display_curve: "srgb" or "none".
+        refinements: how often; 0 is the search of the paper.
     """
-    depths = torch.tensor(AIR_DEPTHS, dtype=torch.float64)
+    coarse = torch.tensor(AIR_DEPTHS, dtype=torch.float64)[:, None].expand(len(cloud), -1, len(sky))
+    found = _try_depths(cloud, sky, target, display_curve, coarse)
+    for refinement in range(1, refinements + 1):
+        step = AIR_STEP / AIR_SUBDIVISION**refinement
+        beside = torch.stack([found.air_depth - step, found.air_depth + step], dim=1)
+        within = beside.clamp(AIR_DEPTHS[0], AIR_DEPTHS[-1])
+        found = _better_of(found, _try_depths(cloud, sky, target, display_curve, within))
+    return found
+
+
+def _try_depths(cloud: Tensor, sky: Tensor, target: Tensor, display_curve: str, depths: Tensor) -> HazeSearch:
+    """The best of the given depths `(population, kappa, channel)`."""
     histograms = haze_histograms(cloud, sky, torch.exp(-depths), display_curve)
     losses = LOSSES["l1"](histograms, target)
     best = losses.nan_to_num(nan=torch.inf).argmin(1)
     population, channel = torch.meshgrid(torch.arange(len(cloud)), torch.arange(len(sky)), indexing="ij")
-    return HazeSearch(losses[population, best, channel], depths[best], histograms[population, best, channel])
+    place = (population, best, channel)
+    return HazeSearch(losses[place], depths[place], histograms[place])
+
+
+def _better_of(first: HazeSearch, second: HazeSearch) -> HazeSearch:
+    """The smaller loss of two searches for each candidate and channel; the first where they are equal or not numbers."""
+    wins = second.loss < first.loss
+    return HazeSearch(
+        torch.where(wins, second.loss, first.loss),
+        torch.where(wins, second.air_depth, first.air_depth),
+        torch.where(wins[..., None], second.histogram, first.histogram),
+    )
 
 
 def resize_image(image: Tensor, width: int, height: int) -> Tensor:
@@ -104,12 +134,14 @@ class FitProblem:
         stack: of the scene.
         ambient: colour of the ambient light.
         display_curve: applied to both sides before the histograms.
+        air_refinements: of the search over the air; 0 is the paper's.
     """
 
     analysis: PhotographAnalysis
     stack: ScatteringStack
     ambient: Ambient = "sun"
     display_curve: str = "srgb"
+    air_refinements: int = AIR_REFINEMENTS
 
     @cached_property
     def space(self) -> SearchSpace:
@@ -192,7 +224,8 @@ class FitProblem:
         losses = []
         for part in population.split(POPULATION_CHUNK):
             physical = self.space.to_physical(part.to(torch.float32))
-            loss = search_haze(self.compose(physical), self.sky, self.target, self.display_curve).loss.mean(1)
+            cloud = self.compose(physical)
+            air = search_haze(cloud, self.sky, self.target, self.display_curve, self.air_refinements)
             usable = self.stack.is_usable(physical[:, 1], physical[:, 2])
-            losses.append(torch.where(usable, loss, LOSSES["l1"].worst))
+            losses.append(torch.where(usable, air.loss.mean(1), LOSSES["l1"].worst))
         return torch.cat(losses)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from cloudfit.fit_problem import HazeSearch, resize_image, search_haze, visible_share
-from cloudfit.fit_types import Picture
+from cloudfit.fit_types import AIR_REFINEMENTS, Picture
 from cloudfit.scene import Scene
 from precompute.scattering_orders import Effort, Progress, build_scattering_stack
 from render.cloud_image import Lighting, compose_cloud
@@ -52,12 +52,27 @@ class CandidateRendering:
         intensity, ambient = (torch.tensor([self.parameters[name]]) for name in ("sunlight_intensity", "ambient"))
         return Lighting(intensity, sunlight_colour, ambient, ambient_colour)
 
-    def search_air(self, lighting: Lighting, sky: Tensor, target: Tensor, display_curve: str) -> HazeSearch:
-        """Best air for this picture; `sky` `(height, width, channel)` at the camera's size, `target` `(channel, bin)`."""
+    def search_air(
+        self,
+        lighting: Lighting,
+        sky: Tensor,
+        target: Tensor,
+        display_curve: str,
+        refinements: int = AIR_REFINEMENTS,
+    ) -> HazeSearch:
+        """Best air for this picture.
+
+        Args:
+            lighting: of the candidate.
+            sky: `(height, width, channel)` at the camera's size.
+            target: the photograph's histogram `(channel, bin)`.
+            display_curve: "srgb" or "none".
+            refinements: of the search; 0 is the paper's.
+        """
         behind = sky.flatten(0, 1)[self.pixel].T
         cloud = compose_cloud(self.layers, lighting, behind)
         counted = visible_share(self.optical_length)
-        return search_haze(cloud[:, :, counted], behind[:, counted], target, display_curve)
+        return search_haze(cloud[:, :, counted], behind[:, counted], target, display_curve, refinements)
 
     def picture(self, lighting: Lighting, sky: Tensor, air_depth: Tensor) -> Picture:
         """The picture with its layers; `air_depth` `(channel,)`."""

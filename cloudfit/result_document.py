@@ -111,6 +111,7 @@ def describe_options(options: FitOptions) -> dict[str, Any]:
         "quality_settings": asdict(options.quality),
         "ambient": options.ambient,
         "transfer": options.transfer,
+        "air_refinements": options.air_refinements,
         "optimiser": options.optimiser,
         "optimiser_settings": repr(OPTIMISERS.get(options.optimiser)),
         "evaluations": options.evaluations,

@@ -79,6 +79,14 @@ Searches = Annotated[
         min=1, help="Independent searches whose answers are pooled; they share the limits.", rich_help_panel=o.SEARCH
     ),
 ]
+AirRefinements = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        help="Times that the step of the search over the air is cut to a third; 0 is the paper's search.",
+        rich_help_panel=o.SEARCH,
+    ),
+]
 Resume = Annotated[
     bool,
     typer.Option(
@@ -107,6 +115,7 @@ def fit(
     optimiser: Optimiser = "genetic",
     candidates: Candidates = 3,
     searches: Searches = 3,
+    air_refinements: AirRefinements = 2,
     max_seconds: MaxSeconds = None,
     max_evaluations: MaxEvaluations = None,
     seed: o.Seed = 0,
@@ -135,7 +144,16 @@ def fit(
         camera_type,
     )
     search = o.SearchChoice(
-        quality, ambient, transfer, optimiser, max_evaluations, max_seconds, candidates, seed, searches
+        quality,
+        ambient,
+        transfer,
+        optimiser,
+        max_evaluations,
+        max_seconds,
+        candidates,
+        seed,
+        searches,
+        air_refinements,
     )
     with reported_errors(speaker, RESUME_HINT):
         from cloudfit.batch import BatchSettings

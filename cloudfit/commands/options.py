@@ -162,6 +162,7 @@ class SearchChoice:
     candidates: int = 3
     seed: int = 0
     searches: int = 3
+    air_refinements: int = 2
 
     def options(self) -> "FitOptions":
         """The options of a fit. Raises ParameterError for an optimiser that there is not."""
@@ -182,4 +183,5 @@ class SearchChoice:
             candidates=self.candidates,
             searches=self.searches,
             seed=self.seed,
+            air_refinements=self.air_refinements,
         )

@@ -49,6 +49,7 @@ def test_the_cost_of_a_stack_stands_beside_its_error(tmp_path: Path, capsys: pyt
     assert 0.0 < measures["image_error_median"]["median"] <= measures["image_error_worst"]["median"] < 1.0
     assert measures["memory_after_imports_mb"]["median"] <= measures["peak_memory_of_build_mb"]["median"]
     assert "iteration_ms" in out
+    assert measures["refined_iteration_ms"]["median"] > measures["iteration_ms"]["median"] > 0.0
 
 
 @pytest.mark.slow

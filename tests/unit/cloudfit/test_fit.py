@@ -5,7 +5,7 @@ import torch
 
 from cloudfit.fit import describe_doubts, fit_photograph
 from cloudfit.fit_problem import FitProblem
-from cloudfit.fit_types import FitOptions
+from cloudfit.fit_types import AIR_DEPTHS, FitOptions
 from render.errors import ParameterError
 from tests.support.small_scene import TINY, small_scene, small_stack
 from tests.unit.cloudfit.test_fit_problem import guess_space_truth, problem_with_known_answer
@@ -43,6 +43,19 @@ def test_the_same_seed_gives_the_same_fit_and_another_seed_another() -> None:
     assert first.candidates[0].parameters == again.candidates[0].parameters
     assert first.candidates[0].loss == again.candidates[0].loss
     assert first.candidates[0].parameters != other.candidates[0].parameters
+
+
+def test_the_air_of_the_search_and_of_the_picture_is_refined_unless_the_paper_s_is_asked_for() -> None:
+    problem = problem_with_known_answer((0.1, 0.2, 0.5))
+    options = replace(OPTIONS, evaluations=60, searches=1, candidates=1)
+    fine, coarse = (
+        fit_photograph(problem.analysis, small_scene(), small_stack(), replace(options, air_refinements=number))
+        for number in (2, 0)
+    )
+    assert all(min(abs(depth - step) for step in AIR_DEPTHS) < 1e-6 for depth in coarse.candidates[0].air_depth)
+    assert any(min(abs(depth - step) for step in AIR_DEPTHS) > 0.03 for depth in fine.candidates[0].air_depth)
+    # The same points: those of the first generation.
+    assert fine.history[0] < coarse.history[0]
 
 
 def test_an_interruption_leaves_the_best_answer_so_far(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor
 
 from cloudfit.fit_problem import FitProblem, brightest_radiance, resize_image, search_haze
-from cloudfit.fit_types import AIR_DEPTHS
+from cloudfit.fit_types import AIR_DEPTHS, AIR_REFINEMENTS
 from cloudfit.losses import LOSSES, l1_floor
 from render.cloud_image import blend_air
 from render.scattering_stack import ScatteringStack
@@ -42,21 +44,65 @@ def guess_space_truth(problem: FitProblem) -> Tensor:
     return problem.space.to_unit(guess.space.to_physical(TRUTH))
 
 
-def test_the_search_of_the_air_finds_the_air_of_each_channel() -> None:
+def true_cloud(problem: FitProblem) -> Tensor:
+    """Radiance of TRUTH without air."""
+    return problem.compose(problem.space.to_physical(guess_space_truth(problem)))
+
+
+@pytest.mark.parametrize("refinements", [0, AIR_REFINEMENTS])
+def test_the_search_of_the_air_finds_the_air_of_each_channel(refinements: int) -> None:
     air = (AIR_DEPTHS[0], AIR_DEPTHS[1], AIR_DEPTHS[2])
     problem = problem_with_known_answer(air)
-    cloud = problem.compose(problem.space.to_physical(guess_space_truth(problem)))
-    found = search_haze(cloud, problem.sky, problem.target, "srgb")
+    found = search_haze(true_cloud(problem), problem.sky, problem.target, "srgb", refinements)
     assert found.air_depth[0].tolist() == pytest.approx(air)
     assert float(found.loss.max()) < 0.02
-    swapped = search_haze(cloud, problem.sky, problem.target.flip(0), "srgb")
+    swapped = search_haze(true_cloud(problem), problem.sky, problem.target.flip(0), "srgb", refinements)
     assert float(swapped.loss.max()) > 0.3
+
+
+def test_refinements_find_air_between_the_steps_of_the_paper() -> None:
+    # A ninth and a third of a step from one of the 11, and a third above no air at all.
+    air = (0.3 + 0.1 / 3, 0.4, 0.1)
+    problem = problem_with_known_answer(air)
+    coarse, once, twice = (
+        search_haze(true_cloud(problem), problem.sky, problem.target, "srgb", number) for number in range(3)
+    )
+    assert coarse.air_depth[0].tolist() == pytest.approx([0.3, 0.3, 0.0])
+    assert once.air_depth[0].tolist() == pytest.approx([0.3, 0.4, 0.1])
+    assert twice.air_depth[0].tolist() == pytest.approx(air)
+    assert float(coarse.loss.min()) > 0.2
+    assert float(twice.loss.max()) < 0.02
+    histograms = torch.stack([coarse.histogram, once.histogram, twice.histogram])
+    losses = torch.stack([coarse.loss, once.loss, twice.loss])
+    assert torch.equal(LOSSES["l1"](histograms, problem.target), losses)
+    assert bool((losses.diff(dim=0) <= 0.0).all())
+
+
+def test_refined_air_stays_between_none_and_the_thickest() -> None:
+    problem = problem_with_known_answer((0.0, 0.0, 3.0))
+    found = search_haze(true_cloud(problem), problem.sky, problem.target, "srgb", 3)
+    assert found.air_depth[0, :2].tolist() == [0.0, 0.0]
+    assert 2.5 < float(found.air_depth[0, 2]) <= AIR_DEPTHS[-1]
+
+
+def test_a_cloud_that_is_no_number_has_no_loss_and_spoils_no_other() -> None:
+    problem = problem_with_known_answer()
+    cloud = true_cloud(problem).repeat(2, 1, 1)
+    cloud[0, 1, 0] = torch.nan
+    found = search_haze(cloud, problem.sky, problem.target, "srgb", 2)
+    assert found.loss.isnan().tolist() == [[False, True, False], [False, False, False]]
+    alone = search_haze(cloud[1:], problem.sky, problem.target, "srgb", 2)
+    assert torch.equal(found.loss[1:], alone.loss)
+    assert torch.equal(found.air_depth[1:], alone.air_depth)
 
 
 def test_a_population_is_evaluated_as_its_members_would_be() -> None:
     problem = problem_with_known_answer()
     population = torch.rand(40, problem.space.dimension, generator=torch.Generator().manual_seed(1))
     together = problem.evaluate(population)
+    coarse = replace(problem, air_refinements=0).evaluate(population)
+    assert bool((together <= coarse).all())
+    assert bool((together < coarse).any())
     alone = torch.cat([problem.evaluate(member[None]) for member in population[::13]])
     assert torch.allclose(together[::13], alone, atol=1e-3)
     assert together.std() > 0.01

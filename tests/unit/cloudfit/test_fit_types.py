@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from cloudfit.fit_types import AIR_DEPTHS, FitOptions
+from cloudfit.fit_types import AIR_DEPTHS, AIR_REFINEMENTS, FitOptions
 from cloudfit.optimisers import OPTIMISERS
 from cloudfit.quality import QUALITIES
 
@@ -19,3 +19,4 @@ def test_the_defaults_name_things_that_exist() -> None:
     assert options.optimiser in OPTIMISERS
     assert options.quality in QUALITIES.values()
     assert options.searches >= 1
+    assert options.air_refinements == AIR_REFINEMENTS >= 0

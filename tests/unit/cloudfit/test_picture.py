@@ -38,9 +38,12 @@ def test_the_search_of_the_air_recovers_the_air_of_a_picture() -> None:
     rendering = CandidateRendering(small_scene(), PARAMETERS, EFFORT)
     sky = torch.tensor([0.1, 0.25, 0.6]).expand(36, 48, 3).clone()
     lighting = rendering.lighting(WHITE, WHITE)
-    picture = rendering.picture(lighting, sky, torch.tensor([0.6, 0.3, 0.0]))
+    picture = rendering.picture(lighting, sky, torch.tensor([0.6, 0.4, 0.0]))
     counted = rendering.pixel[visible_share(rendering.optical_length)]
     target = colour_histogram(picture.rgb.flatten(0, 1)[counted], "srgb")
     found = rendering.search_air(lighting, sky, target, "srgb")
-    assert found.air_depth[0].tolist() == pytest.approx([0.6, 0.3, 0.0])
+    assert found.air_depth[0].tolist() == pytest.approx([0.6, 0.4, 0.0])
     assert float(found.loss.max()) < 0.05
+    coarse = rendering.search_air(lighting, sky, target, "srgb", 0)
+    assert coarse.air_depth[0].tolist() == pytest.approx([0.6, 0.3, 0.0])
+    assert float(coarse.loss[0, 1]) > 0.05

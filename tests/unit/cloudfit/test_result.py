@@ -140,6 +140,7 @@ def test_the_fingerprint_sees_everything_that_a_result_depends_on() -> None:
         make_question(seed=1),
         make_question(transfer="none"),
         make_question(optimiser="crs2_lm"),
+        make_question(air_refinements=0),
         make_question(seconds=3.0),
         make_question(quality=QUALITIES["draft"]),
         make_question(scene=small_scene(41.0)),

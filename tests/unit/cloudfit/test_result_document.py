@@ -92,6 +92,11 @@ def test_a_preset_has_its_name_and_another_quality_none() -> None:
     assert describe_options(FitOptions(quality=custom))["quality"] == "custom"
 
 
+def test_the_search_of_the_air_is_recorded() -> None:
+    assert describe_options(FitOptions(air_refinements=0))["air_refinements"] == 0
+    assert describe_options(FitOptions())["air_refinements"] == FitOptions().air_refinements > 0
+
+
 def test_places_follow_the_scale_of_the_parameter() -> None:
     linear = Parameter("albedo", "beta", "1", 0.0, 2.0)
     log = Parameter("extinction", "sigma_t", "1/m", 0.01, 1.0, "log")

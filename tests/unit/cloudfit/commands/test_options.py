@@ -62,9 +62,9 @@ def test_the_projection_is_a_choice(volume: Path) -> None:
 
 def test_search_choices_become_options() -> None:
     assert SearchChoice().options() == FitOptions()
-    choice = SearchChoice(QualityName.DRAFT, AmbientName.FREE, TransferName.NONE, "crs2_lm", 50, 2.5, 3, 7, searches=2)
+    choice = SearchChoice(QualityName.DRAFT, AmbientName.FREE, TransferName.NONE, "crs2_lm", 50, 2.5, 3, 7, 2, 0)
     assert choice.options() == FitOptions(
-        QUALITIES["draft"], "free", "none", "crs2_lm", 50, 2.5, searches=2, candidates=3, seed=7
+        QUALITIES["draft"], "free", "none", "crs2_lm", 50, 2.5, searches=2, candidates=3, seed=7, air_refinements=0
     )
 
 
