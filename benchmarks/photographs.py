@@ -29,7 +29,7 @@ from benchmarks.common import (
 from benchmarks.synthetic_photograph import MIDDLE, photograph_of_opacity
 from cloudfit.batch import BatchSettings, fit_folder
 from cloudfit.fit_types import FitOptions
-from cloudfit.optimisers import OPTIMISERS
+from cloudfit.optimisers import DEFAULT_OPTIMISER, OPTIMISERS
 from cloudfit.photograph import list_photographs
 from cloudfit.quality import QUALITIES
 from cloudfit.stack import prepare_stack
@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_volume_argument(parser)
     parser.add_argument("--photographs", type=Path, default=SHARED / "photos", help="folder")
     parser.add_argument("--quality", choices=QUALITIES, default="standard")
-    parser.add_argument("--optimiser", choices=OPTIMISERS, default="genetic")
+    parser.add_argument("--optimiser", choices=OPTIMISERS, default=DEFAULT_OPTIMISER)
     parser.add_argument("--width", type=int, default=640, help="of the pictures; 4:3")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=available_cores())

@@ -48,7 +48,7 @@ from cloudfit.fit import fit_photograph
 from cloudfit.fit_problem import FitProblem
 from cloudfit.fit_types import FitOptions
 from cloudfit.losses import LOSSES, flat_l1_floor, l1_floor
-from cloudfit.optimisers import OPTIMISERS
+from cloudfit.optimisers import DEFAULT_OPTIMISER, OPTIMISERS
 from cloudfit.quality import QUALITIES, Quality
 from cloudfit.scene import Scene
 from cloudfit.stack import prepare_stack
@@ -116,7 +116,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--photographs", type=int, default=10)
     parser.add_argument("--seeds", type=int, default=10, help="fits of each photograph")
     parser.add_argument("--analysis", choices=ANALYSES, default="given", help="mask, sky and sunlight")
-    parser.add_argument("--optimiser", choices=OPTIMISERS, default="genetic")
+    parser.add_argument("--optimiser", choices=OPTIMISERS, default=DEFAULT_OPTIMISER)
     parser.add_argument("--quality", choices=QUALITIES, default="standard")
     parser.add_argument("--noise", type=float, default=0.02, help="of a photograph's pixels, relative")
     parser.add_argument("--most-samples", type=int, default=8192, help="paths per pixel that are never exceeded")

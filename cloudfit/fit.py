@@ -24,6 +24,9 @@ BOUND_MARGIN = 0.005
 SURPRISE = 0.05
 """A picture whose loss differs by more than this from what the stack promised is reported."""
 
+USUAL_EVALUATIONS = 1500
+"""Of one search without a budget; the progress that is shown goes by it."""
+
 DEFAULT_OPTIONS = FitOptions()
 
 Progress = Callable[[str, float], None]
@@ -93,7 +96,7 @@ def _search(problem: FitProblem, options: FitOptions, on_progress: Progress) -> 
 
     def report(iteration: int, evaluations: int, best_loss: float) -> None:
         best = min([best_loss, *(result.best_loss for result in results)])
-        share = (len(results) + min(1.0, iteration / 100.0)) / options.searches
+        share = (len(results) + min(1.0, evaluations / (budget.evaluations or USUAL_EVALUATIONS))) / options.searches
         on_progress(f"search: loss {best:.3f}", share)
 
     for run in range(options.searches):

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from cloudfit.analysis import PhotographAnalysis
+from cloudfit.optimisers import DEFAULT_OPTIMISER
 from cloudfit.parameters import Ambient
 from cloudfit.quality import QUALITIES, Quality
 
@@ -44,7 +45,7 @@ class FitOptions:
     quality: Quality = QUALITIES["standard"]
     ambient: Ambient = "sun"
     transfer: str = "srgb"
-    optimiser: str = "genetic"
+    optimiser: str = DEFAULT_OPTIMISER
     evaluations: int | None = None
     seconds: float | None = None
     searches: int = 3

@@ -59,7 +59,7 @@ Ambient = Annotated[
     o.AmbientName, typer.Option(help="Colour of the ambient light; free searches it.", rich_help_panel=o.SEARCH)
 ]
 Optimiser = Annotated[
-    str, typer.Option(help="Search method, such as genetic, genetic_paper, crs2_lm+sbplx.", rich_help_panel=o.SEARCH)
+    str, typer.Option(help="Search method, such as crs2_lm+sbplx, genetic, genetic_paper.", rich_help_panel=o.SEARCH)
 ]
 Candidates = Annotated[int, typer.Option(min=1, help="Distinct answers to render and rank.", rich_help_panel=o.SEARCH)]
 MaxSeconds = Annotated[
@@ -112,10 +112,10 @@ def fit(
     quality: o.Quality = o.QualityName.STANDARD,
     transfer: Transfer = o.TransferName.SRGB,
     ambient: Ambient = o.AmbientName.SUN,
-    optimiser: Optimiser = "genetic",
+    optimiser: Optimiser = o.DEFAULT_OPTIMISER,
     candidates: Candidates = 3,
     searches: Searches = 3,
-    air_refinements: AirRefinements = 2,
+    air_refinements: AirRefinements = o.DEFAULT_AIR_REFINEMENTS,
     max_seconds: MaxSeconds = None,
     max_evaluations: MaxEvaluations = None,
     seed: o.Seed = 0,

@@ -48,6 +48,9 @@ DEFAULT_WIDTH, DEFAULT_HEIGHT = 640, 480
 DEFAULT_SUN_AZIMUTH, DEFAULT_SUN_ELEVATION = 220.0, 40.0
 DEFAULT_CAMERA_ELEVATION, DEFAULT_FIELD_OF_VIEW = 10.0, 40.0
 
+# As in `cloudfit.fit_types`, which is slow to import; a test compares them.
+DEFAULT_OPTIMISER, DEFAULT_AIR_REFINEMENTS = "crs2_lm+sbplx", 2
+
 SCENE, CAMERA, SEARCH, RUN = "Scene", "Camera", "Search", "Run"
 
 Volume = Annotated[
@@ -156,13 +159,13 @@ class SearchChoice:
     quality: QualityName = QualityName.STANDARD
     ambient: AmbientName = AmbientName.SUN
     transfer: TransferName = TransferName.SRGB
-    optimiser: str = "genetic"
+    optimiser: str = DEFAULT_OPTIMISER
     evaluations: int | None = None
     max_seconds: float | None = None
     candidates: int = 3
     seed: int = 0
     searches: int = 3
-    air_refinements: int = 2
+    air_refinements: int = DEFAULT_AIR_REFINEMENTS
 
     def options(self) -> "FitOptions":
         """The options of a fit. Raises ParameterError for an optimiser that there is not."""

@@ -47,7 +47,7 @@ def test_the_same_seed_gives_the_same_fit_and_another_seed_another() -> None:
 
 def test_the_air_of_the_search_and_of_the_picture_is_refined_unless_the_paper_s_is_asked_for() -> None:
     problem = problem_with_known_answer((0.1, 0.2, 0.5))
-    options = replace(OPTIONS, evaluations=60, searches=1, candidates=1)
+    options = replace(OPTIONS, optimiser="genetic", evaluations=60, searches=1, candidates=1)
     fine, coarse = (
         fit_photograph(problem.analysis, small_scene(), small_stack(), replace(options, air_refinements=number))
         for number in (2, 0)
@@ -71,7 +71,8 @@ def test_an_interruption_leaves_the_best_answer_so_far(monkeypatch: pytest.Monke
         return evaluate(self, population)
 
     monkeypatch.setattr(FitProblem, "evaluate", interrupted)
-    fit = fit_photograph(problem.analysis, small_scene(), small_stack(), OPTIONS)
+    options = replace(OPTIONS, optimiser="genetic")
+    fit = fit_photograph(problem.analysis, small_scene(), small_stack(), options)
     assert fit.interrupted
     assert len(fit.candidates) == 1
     assert fit.evaluations == 39

@@ -3,7 +3,7 @@ import math
 import pytest
 
 from cloudfit.fit_types import AIR_DEPTHS, AIR_REFINEMENTS, FitOptions
-from cloudfit.optimisers import OPTIMISERS
+from cloudfit.optimisers import DEFAULT_OPTIMISER, OPTIMISERS
 from cloudfit.quality import QUALITIES
 
 
@@ -16,7 +16,7 @@ def test_the_air_is_searched_in_eleven_steps_from_none_to_almost_all() -> None:
 
 def test_the_defaults_name_things_that_exist() -> None:
     options = FitOptions()
-    assert options.optimiser in OPTIMISERS
+    assert options.optimiser == DEFAULT_OPTIMISER in OPTIMISERS
     assert options.quality in QUALITIES.values()
     assert options.searches >= 1
     assert options.air_refinements == AIR_REFINEMENTS >= 0

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from cloudfit.optimisers import OPTIMISERS, Budget, StopReason
+from cloudfit.optimisers import DEFAULT_OPTIMISER, OPTIMISERS, Budget, OptimiserResult, StopReason
 from cloudfit.optimisers.base import PENALTY
 from render.errors import ParameterError
 
@@ -38,6 +38,20 @@ def test_the_papers_method_comes_first() -> None:
     assert NAMES[0] == "genetic"
     with pytest.raises(TypeError):
         OPTIMISERS["other"] = OPTIMISERS["genetic"]  # type: ignore[index]
+
+
+def test_the_default_polishes_after_a_bounded_search() -> None:
+    def rough(population: Tensor) -> Tensor:
+        return Bowl()(population) + 0.01 * (1e4 * population).sin().sum(dim=1)
+
+    def run(name: str) -> OptimiserResult:
+        return OPTIMISERS[name].minimise(rough, 5, Budget(), seed=1)
+
+    alone, default = run("crs2_lm"), run(DEFAULT_OPTIMISER)
+    assert torch.equal(default.evaluated[:1250], alone.evaluated[:1250])
+    assert not torch.equal(default.evaluated[1250:1300], alone.evaluated[1250:1300])
+    assert default.best_loss < float(alone.losses[:1250].min())
+    assert default.evaluations < alone.evaluations
 
 
 @pytest.mark.parametrize("dimension", [1, 5, 8])
