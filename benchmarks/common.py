@@ -24,7 +24,7 @@ from cloudfit import __version__
 from cloudfit.quality import Quality
 from cloudfit.scene import Scene
 from cloudfit.scene_record import load_volume
-from precompute.scattering_orders import Effort
+from precompute.error_budget import Effort
 from render.atomic_write import atomic_path
 from render.camera import frame_volume
 from render.procedural_cloud import build_cumulus

@@ -85,7 +85,11 @@ class Plan:
         """Effort of the fit, with tables as large as the pictures."""
         if self.arguments.quick:
             return QUICK_QUALITY
-        return replace(QUALITIES[self.arguments.quality], table_scale=1.0)
+        quality = QUALITIES[self.arguments.quality]
+        table, picture = (
+            replace(effort, orders=ORDERS, tail=False) for effort in (quality.table_effort, quality.picture_effort)
+        )
+        return replace(quality, table_scale=1.0, table_effort=table, picture_effort=picture)
 
     def scene(self) -> tuple[Scene, str]:
         """Scene of fits, and the name of its volume."""

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from render.colour import DISPLAY_CURVES
 from render.errors import ParameterError
+from render.fused import fused_loops_wanted
 
 LEVELS = 256
 STEPS_PER_LEVEL = 256
@@ -146,6 +147,20 @@ def haze_histograms(
     # A float64 sum of float32 values is finite exactly when they all are.
     with np.errstate(invalid="ignore"):
         finite = np.isfinite(clouds.sum(axis=-1, dtype=np.float64) + skies.sum(axis=-1, dtype=np.float64))
+    if fused_loops_wanted():
+        from cloudfit.fused_histogram import count_hazes  # needs numba
+
+        counts = count_hazes(clouds, skies, haze, table.levels, table.bend is SQUARE_ROOT, STEPS).astype(np.float64)
+        counts[np.broadcast_to(~finite[:, None], haze.shape)] = np.nan
+    else:
+        counts = _count_blocks(clouds, skies, haze, finite, table)
+    return torch.from_numpy(counts / clouds.shape[-1])
+
+
+def _count_blocks(
+    clouds: FloatArray, skies: FloatArray, haze: FloatArray, finite: NDArray[np.bool_], table: LevelTable
+) -> NDArray[np.float64]:
+    """Number of pixels at each level (population, kappa, channel, bin); NaN where `finite` (population, channel) is false."""
     counts = np.zeros((*haze.shape, LEVELS))
     lock = Lock()
 
@@ -161,7 +176,7 @@ def haze_histograms(
     jobs = [(channel, start) for channel in range(CHANNELS) for start in range(0, clouds.shape[-1], PIXELS_PER_BLOCK)]
     with ThreadPoolExecutor(min(torch.get_num_threads(), len(jobs))) as pool:
         list(pool.map(count, jobs))
-    return torch.from_numpy(counts / clouds.shape[-1])
+    return counts
 
 
 def _count_block(

@@ -8,7 +8,8 @@ from torch import Tensor
 from cloudfit.fit_problem import HazeSearch, resize_image, search_haze, visible_share
 from cloudfit.fit_types import AIR_REFINEMENTS, Picture
 from cloudfit.scene import Scene
-from precompute.scattering_orders import Effort, Progress, build_scattering_stack
+from precompute.error_budget import Effort
+from precompute.scattering_orders import Progress, build_scattering_stack
 from render.cloud_image import Lighting, compose_cloud
 from render.scattering_stack import CloudLayers, ScatteringStack
 
@@ -38,12 +39,21 @@ class CandidateRendering:
             torch.tensor([parameters[name]]) for name in ("asymmetry", "extinction", "albedo")
         )
         tables = build_scattering_stack(
-            scene.grid, scene.camera, scene.sun_direction, asymmetry, extinction, effort, seed, on_progress
+            scene.grid,
+            scene.camera,
+            scene.sun_direction,
+            asymmetry,
+            extinction,
+            effort,
+            seed,
+            on_progress,
+            (float(albedo),),
         )
         stack = ScatteringStack(tables)
         with torch.no_grad():
             self.layers: CloudLayers = stack(asymmetry, extinction, albedo)
         self.pixel, self.optical_length = tables.pixel, tables.optical_length
+        self.groups = tables.groups
         self.image_error = float(tables.image_error[0, 0])
         self.seconds = time.perf_counter() - started
 

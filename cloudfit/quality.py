@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from precompute.scattering_orders import Effort
+from precompute.error_budget import Effort
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,28 @@ class Quality:
 
 
 QUALITIES: dict[str, Quality] = {
-    "draft": Quality(0.25, Effort(4, 30_000, 400_000, 8), Effort(4, 60_000, 800_000, 16), 7, 9, 0.25),
-    "standard": Quality(0.5, Effort(4, 100_000, 2_500_000, 16), Effort(4, 200_000, 2_000_000, 16), 11, 11, 0.15),
-    "reference": Quality(0.5, Effort(4, 200_000, 16_000_000, 24), Effort(4, 400_000, 12_000_000, 24), 15, 15, 0.08),
+    "draft": Quality(
+        0.25,
+        Effort(66, 30_000, 1_500_000, 8, True, 0.10),
+        Effort(66, 60_000, 1_000_000, 16, True, 0.05),
+        7,
+        9,
+        0.25,
+    ),
+    "standard": Quality(
+        0.5,
+        Effort(66, 100_000, 10_000_000, 16, True, 0.02),
+        Effort(66, 150_000, 4_000_000, 16, True, 0.02),
+        11,
+        11,
+        0.15,
+    ),
+    "reference": Quality(
+        0.5,
+        Effort(66, 200_000, 100_000_000, 24, True, 0.005),
+        Effort(66, 400_000, 40_000_000, 24, True, 0.005),
+        15,
+        15,
+        0.08,
+    ),
 }

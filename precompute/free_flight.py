@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from render.density_grid import DensityGrid
+from render.fused import fused_loops_wanted
 
 DARKEST_DEPTH = 20.0
 """Optical depth to the sun beyond which a point counts as unlit, even at the smallest extinction of a group: exp(-20) is 2e-9."""
@@ -52,9 +53,32 @@ def fly(grid: DensityGrid, position: Tensor, direction: Tensor, optical_length: 
     stride = step * float(grid.voxel_size.min())
     steps = torch.ceil((far - near) / stride).clamp_(min=1.0)
     length = (far - near) / steps
+    if fused_loops_wanted(grid.density, position, direction, optical_length):
+        from precompute.fused_flight import march_flights  # needs numba
+
+        origin = grid.voxel_coordinates(position + near[:, None] * direction)
+        rate = direction / grid.voxel_size * length[:, None]
+        collided, travelled, passed = march_flights(
+            grid.table.padded, origin, rate, length, steps, optical_length.expand_as(length)
+        )
+    else:
+        collided, travelled, passed = _march_lanes(grid, position, direction, near, length, steps, optical_length)
+    return Flight(collided, position + (near + travelled)[:, None] * direction, passed)
+
+
+def _march_lanes(
+    grid: DensityGrid,
+    position: Tensor,
+    direction: Tensor,
+    near: Tensor,
+    length: Tensor,
+    steps: Tensor,
+    optical_length: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Which flights ended inside, the distance from the box's face until then, and the optical length passed."""
     lanes = _Lanes.depart(grid, position, direction, near, length, steps, optical_length)
-    collided = torch.zeros(len(far), dtype=torch.bool, device=far.device)
-    travelled, passed = torch.zeros_like(far), torch.zeros_like(far)
+    collided = torch.zeros(len(length), dtype=torch.bool, device=length.device)
+    travelled, passed = torch.zeros_like(length), torch.zeros_like(length)
     first = 0
     while len(lanes.index):
         block = _march_block(grid, lanes, first)
@@ -63,11 +87,7 @@ def fly(grid: DensityGrid, position: Tensor, direction: Tensor, optical_length: 
         passed[block.left] = block.passed
         lanes = block.lanes
         first += BLOCK
-    return Flight(
-        collided,
-        position + (near + travelled)[:, None] * direction,
-        torch.where(collided, optical_length, passed),
-    )
+    return collided, travelled, torch.where(collided, optical_length, passed)
 
 
 def march_to_sun(

@@ -17,6 +17,9 @@ from torch import Tensor
 from render.density_grid import DensityGrid
 from render.ray_march import interpolate_in_rows, locate_in_rows, march_rays, ray_chunks
 
+BAG_POSITIONS = 1 << 17
+"""Positions along rays whose bags are made at once; bounds the memory."""
+
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
@@ -46,20 +49,19 @@ class Lattice:
     def corners(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Numbers and trilinear weights, each `(..., 8)`, of the lattice points around positions `(..., 3)` [m]."""
         coordinate = (points - self.corner) / self.spacing
-        last = torch.tensor([max(n - 2, 0) for n in self.counts], dtype=coordinate.dtype)
-        cell = coordinate.floor().clamp(min=0.0).minimum(last)
+        last = torch.tensor(self.counts) - 1
+        cell = coordinate.int().clamp(min=0).minimum((last - 1).clamp(min=0).int())
         fraction = (coordinate - cell).clamp(0.0, 1.0)
-        base = cell.long()
-        nx, ny, _ = self.counts
-        numbers, weights = [], []
-        for dz in (0, 1):
-            for dy in (0, 1):
-                for dx in (0, 1):
-                    offset = torch.tensor([dx, dy, dz])
-                    x, y, z = torch.minimum(base + offset, torch.tensor(self.counts) - 1).unbind(-1)
-                    numbers.append((z * ny + y) * nx + x)
-                    weights.append(torch.where(offset.bool(), fraction, 1.0 - fraction).prod(-1))
-        return torch.stack(numbers, dim=-1), torch.stack(weights, dim=-1)
+        strides = torch.tensor([1, self.counts[0], self.counts[0] * self.counts[1]], dtype=torch.int32)
+        low = cell * strides
+        # Where an axis has one point only, both corners are that one.
+        ends = torch.stack([low, low + strides * last.clamp(max=1).int()], dim=-1)
+        shares = torch.stack([1.0 - fraction, fraction], dim=-1)
+        x, y, z = ends.unbind(-2)
+        numbers = z[..., :, None, None] + y[..., None, :, None] + x[..., None, None, :]
+        x, y, z = shares.unbind(-2)
+        weights = z[..., :, None, None] * (y[..., :, None] * x[..., None, :])[..., None, :, :]
+        return numbers.flatten(-3), weights.flatten(-3)
 
 
 def lattice_over(grid: DensityGrid, stretch: float) -> Lattice:
@@ -88,27 +90,66 @@ class Bags:
     weights: Tensor
 
 
-def gather_bags(
-    grid: DensityGrid, lattice: Lattice, origin: Tensor, direction: Tensor, extinction: Tensor, strata: int
-) -> Iterator[Bags]:
-    """Bags of every ray and extinction, a bounded run of rays at a time.
+@dataclass(frozen=True, eq=False)
+class Strata:
+    """Positions along rays at the midpoints of equal strata of the absorbed share.
+
+    Args:
+        distance: from the rays' origins `(extinction, ray, stratum)` [m].
+        opacity: of each ray `(extinction, ray)`.
+    """
+
+    distance: Tensor
+    opacity: Tensor
+
+    def part(self, rays: Tensor) -> "Strata":
+        """The same for some of the rays."""
+        return Strata(self.distance[:, rays], self.opacity[:, rays])
+
+    def at(self, node: int) -> "Strata":
+        """The same for one extinction."""
+        return Strata(self.distance[node : node + 1], self.opacity[node : node + 1])
+
+
+def stratify_rays(grid: DensityGrid, origin: Tensor, direction: Tensor, extinction: Tensor, strata: int) -> Strata:
+    """Strata of rays for every extinction.
 
     Args:
         grid: the volume.
-        lattice: of the source points.
         origin: ray origins `(ray, 3)` [m].
         direction: unit directions `(ray, 3)`.
         extinction: nodes `(extinction,)` [1/m].
         strata: positions along each ray.
     """
     midpoints = (torch.arange(strata, dtype=torch.float64) + 0.5) / strata
+    distance = torch.empty(len(extinction), len(origin), strata)
+    opacity = torch.empty(len(extinction), len(origin))
     for rays in ray_chunks(grid, len(origin)):
         profile = march_rays(grid, origin[rays], direction[rays])
         for node, s in enumerate(extinction.double()):
-            opacity = -torch.expm1(-s * profile.total.double())
-            target = (-torch.log1p(-midpoints * opacity[:, None]) / s).to(torch.float32)
-            distance = interpolate_in_rows(profile.distance, *locate_in_rows(profile.optical_length, target))
-            points = origin[rays, None] + distance[..., None] * direction[rays, None]
+            absorbed = -torch.expm1(-s * profile.total.double())
+            target = (-torch.log1p(-midpoints * absorbed[:, None]) / s).to(torch.float32)
+            place = locate_in_rows(profile.optical_length, target)
+            distance[node, rays] = interpolate_in_rows(profile.distance, *place)
+            opacity[node, rays] = absorbed.to(torch.float32)
+    return Strata(distance, opacity)
+
+
+def gather_bags(lattice: Lattice, origin: Tensor, direction: Tensor, strata: Strata) -> Iterator[Bags]:
+    """Bags of every ray and extinction, a bounded run of rays at a time.
+
+    Args:
+        lattice: of the source points.
+        origin: ray origins `(ray, 3)` [m].
+        direction: unit directions `(ray, 3)`.
+        strata: of these rays.
+    """
+    count = strata.distance.shape[2]
+    size = max(1, BAG_POSITIONS // count)
+    for node, (distance, opacity) in enumerate(zip(strata.distance, strata.opacity, strict=True)):
+        for first in range(0, len(origin), size):
+            rays = slice(first, min(first + size, len(origin)))
+            points = origin[rays, None] + distance[rays, :, None] * direction[rays, None]
             numbers, weights = lattice.corners(points)
-            weights = weights * (opacity[:, None, None] / strata).to(torch.float32)
+            weights = weights * (opacity[rays, None, None] / count)
             yield Bags(rays, node, numbers.flatten(1), weights.flatten(1))

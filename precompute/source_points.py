@@ -11,18 +11,24 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from precompute.free_flight import DARKEST_DEPTH
 from precompute.gather import Lattice
+from precompute.order_plan import OrderPlan
 from precompute.path_sampler import TableNodes, sample_paths
 from render.camera import Camera
 from render.density_grid import DensityGrid
-from render.random_streams import child_generator
+from render.fused import fused_loops_wanted
+from render.random_streams import counter_keys, stream_number
 
 SMALLEST_BATCH = 4
-LARGEST_BATCH = 256
-"""Paths a point; both powers of two, at least two for each half."""
+LARGEST_BATCH = 4096
+"""Paths a point in one pass; both powers of two, at least two for each half."""
+
+PATHS_PER_POINT = 1 << 20
+"""Numbers that the paths of a point may have, over all passes."""
 
 LANES = 1 << 15
-"""Paths in flight at once. Part of the result's definition (one random stream per batch), hence not a parameter."""
+"""Paths in flight at once; bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,21 +42,6 @@ class SourcePoints:
 
     numbers: Tensor
     paths: Tensor
-
-
-@dataclass(frozen=True, eq=False)
-class SourceTable:
-    """In-scattered radiance towards the camera at the points, from two independent halves of the paths.
-
-    Args:
-        source: J `(extinction, point, half, order, asymmetry)` [1/sr], for unit sunlight and albedo one, order two first.
-        effective_share: effective sample size over number of paths per node `(order, asymmetry, extinction)`.
-        paths: traced in all.
-    """
-
-    source: Tensor
-    effective_share: Tensor
-    paths: int
 
 
 def allocate_paths(importance: Tensor, paths: int) -> SourcePoints:
@@ -69,85 +60,153 @@ def allocate_paths(importance: Tensor, paths: int) -> SourcePoints:
     return SourcePoints(numbers, counts.long())
 
 
-def trace_source(
-    grid: DensityGrid,
-    camera: Camera,
-    sun_direction: Tensor,
-    lattice: Lattice,
-    points: SourcePoints,
-    nodes: TableNodes,
-    orders: int,
-    step: float,
-    seed: int,
-    on_progress: Callable[[float], None] = lambda share: None,
-) -> SourceTable:
-    """Path trace the source at every point.
+class SourceTable:
+    """In-scattered radiance towards the camera at source points, better with every pass.
+
+    A path's random numbers depend on the seed, its point's place in the lattice and its own number only.
 
     Args:
         grid: the volume.
         camera: gives the direction of travel at each point.
         sun_direction: unit vector towards the sun `(3,)`.
         lattice: of the points.
-        points: numbers and path counts.
         nodes: of the table.
-        orders: largest number of scatterings, at least two.
+        plan: orders and their images.
         step: longest marching step in voxels.
         seed: of the random streams.
-        on_progress: called with the share of paths done.
+
+    Attributes:
+        numbers: of the points in the lattice `(point,)`.
+        paths: traced from each `(point,)`.
+        source: J `(extinction, point, half, knot, asymmetry)` [1/sr], for unit sunlight and albedo one.
     """
-    shape = (len(nodes.extinction), len(points.numbers), 2, orders - 1, len(nodes.asymmetry))
-    source = torch.zeros(shape)
-    totals = _NodeTotals(orders - 1, nodes)
-    done, total = 0, int(points.paths.sum())
-    for count in points.paths.unique().tolist():
-        members = torch.nonzero(points.paths == count).flatten()
-        for batch, part in enumerate(members.split(LANES // count)):
-            generator = child_generator(seed, count, batch)
-            position = lattice.positions(points.numbers[part])
-            sums = _trace_batch(grid, camera, sun_direction, position, count, nodes, orders, step, generator, totals)
-            source[:, part] = sums.permute(4, 0, 1, 2, 3).to(torch.float32)
-            done += count * len(part)
-            on_progress(done / total)
-    return SourceTable(source, totals.effective_share(), total)
 
+    def __init__(
+        self,
+        grid: DensityGrid,
+        camera: Camera,
+        sun_direction: Tensor,
+        lattice: Lattice,
+        nodes: TableNodes,
+        plan: OrderPlan,
+        step: float,
+        seed: int,
+    ) -> None:
+        self.grid, self.camera, self.sun_direction, self.lattice = grid, camera, sun_direction, lattice
+        self.nodes, self.plan, self.step = nodes, plan, step
+        self._stream = stream_number(seed)
+        self.numbers, self.paths = torch.empty(0, dtype=torch.long), torch.empty(0, dtype=torch.long)
+        shape = (len(plan.knots), len(nodes.asymmetry), len(nodes.extinction))
+        self.source = torch.empty(shape[2], 0, 2, *shape[:2])
+        self._sums = torch.zeros(shape, dtype=torch.float64)
+        self._squares = torch.zeros(shape, dtype=torch.float64)
 
-class _NodeTotals:
-    """Sums over points of (sum of weights)^2 / paths and of the squared weights, per node."""
+    def add_pass(self, points: SourcePoints, on_progress: Callable[[float], None] = lambda share: None) -> None:
+        """Trace more paths from the points, always the same ones.
 
-    def __init__(self, orders: int, nodes: TableNodes) -> None:
-        self.of_sums = torch.zeros(orders, len(nodes.asymmetry), len(nodes.extinction), dtype=torch.float64)
-        self.of_squares = torch.zeros_like(self.of_sums)
+        Args:
+            points: numbers and path counts.
+            on_progress: called with the share of paths done.
+        """
+        if len(self.paths) == 0:
+            self.numbers, self.paths = points.numbers, torch.zeros_like(points.paths)
+            self.source = self.source.new_zeros(len(self.source), len(self.numbers), *self.source.shape[2:])
+        trace = _trace_batch_fused if fused_loops_wanted(self.grid.density) else _trace_batch
+        done, total = 0, int(points.paths.sum())
+        for count in points.paths.unique().tolist():
+            members = torch.nonzero(points.paths == count).flatten()
+            for part in members.split(max(1, LANES // count)):
+                position = self.lattice.positions(self.numbers[part])
+                counters = PATHS_PER_POINT * self.numbers[part] + self.paths[part]
+                batch = _Batch(position, self.camera.directions_at(position), count, counters)
+                means, squares = trace(
+                    self.grid, self.sun_direction, batch, self.nodes, self.plan, self.step, self._stream
+                )
+                share = (count / (self.paths[part] + count).float())[:, None, None, None]
+                self.source[:, part] = torch.lerp(self.source[:, part], means, share)
+                self._sums += count * means.double().mean(2).square().sum(1).permute(1, 2, 0)
+                self._squares += squares
+                done += count * len(part)
+                on_progress(done / total)
+        self.paths = self.paths + points.paths
 
+    @property
     def effective_share(self) -> Tensor:
-        return (self.of_sums / self.of_squares.clamp(min=1e-300)).to(torch.float32)
+        """Effective sample size over number of paths per node `(knot, asymmetry, extinction)`, averaged over passes."""
+        # Vertices of one path may share an image, which makes its sum more even than their squares say.
+        return (self._sums / self._squares.clamp(min=1e-300)).clamp(max=1.0).to(torch.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Points with equally many paths: places, camera directions there, paths of each, number of the first path."""
+
+    position: Tensor
+    direction: Tensor
+    count: int
+    counters: Tensor
 
 
 def _trace_batch(
     grid: DensityGrid,
-    camera: Camera,
     sun_direction: Tensor,
-    position: Tensor,
-    count: int,
+    batch: _Batch,
     nodes: TableNodes,
-    orders: int,
+    plan: OrderPlan,
     step: float,
-    generator: torch.Generator,
-    totals: _NodeTotals,
-) -> Tensor:
-    """Mean weights `(point, half, order, asymmetry, extinction)` of `count` paths from each of a few points."""
-    points = len(position)
-    start = position.repeat_interleave(count, dim=0)
-    direction = camera.directions_at(position).repeat_interleave(count, dim=0)
-    means = torch.zeros(points, 2, orders - 1, len(nodes.asymmetry), len(nodes.extinction), dtype=torch.float64)
-    for vertex in sample_paths(grid, start, direction, sun_direction, nodes, orders, step, generator):
-        of_asymmetry = torch.zeros(points * count, len(nodes.asymmetry), dtype=torch.float64)
-        of_extinction = torch.zeros(points * count, len(nodes.extinction), dtype=torch.float64)
-        of_asymmetry[vertex.path] = vertex.asymmetry_factor.double()
-        of_extinction[vertex.path] = vertex.extinction_factor.double()
-        halves = of_asymmetry.reshape(points * 2, count // 2, -1).transpose(1, 2)
-        sums = halves @ of_extinction.reshape(points * 2, count // 2, -1)
-        sums = sums.reshape(points, 2, len(nodes.asymmetry), len(nodes.extinction))
-        means[:, :, vertex.order - 2] = sums * (2.0 / count)
-        totals.of_sums[vertex.order - 2] += sums.sum(1).square().sum(0) / count
-        totals.of_squares[vertex.order - 2] += of_asymmetry.square().T @ of_extinction.square()
-    return means
+    stream: int,
+) -> tuple[Tensor, Tensor]:
+    """Mean weights `(extinction, point, half, knot, asymmetry)` and their summed squares `(knot, asymmetry, extinction)`."""
+    points, count = len(batch.position), batch.count
+    start, direction = (vectors.repeat_interleave(count, dim=0) for vectors in (batch.position, batch.direction))
+    keys = counter_keys(stream, (batch.counters[:, None] + torch.arange(count)).flatten())
+    shape = (len(nodes.asymmetry), len(nodes.extinction))
+    means = torch.zeros(points, 2, len(plan.knots), *shape, dtype=torch.float64)
+    squares = torch.zeros(len(plan.knots), *shape, dtype=torch.float64)
+    for vertex in sample_paths(grid, start, direction, sun_direction, nodes, plan, step, keys):
+        of_asymmetry, of_extinction = vertex.asymmetry_factor.double(), vertex.extinction_factor.double()
+        of_all_asymmetry = of_asymmetry.new_zeros(points * count, shape[0]).index_copy_(0, vertex.path, of_asymmetry)
+        of_all_extinction = of_asymmetry.new_zeros(points * count, shape[1]).index_copy_(0, vertex.path, of_extinction)
+        halves = of_all_asymmetry.reshape(points * 2, count // 2, -1).transpose(1, 2)
+        sums = (halves @ of_all_extinction.reshape(points * 2, count // 2, -1)).unflatten(0, (points, 2))
+        products = of_asymmetry.square().T @ of_extinction.square()
+        for knot, share in enumerate(plan.shares[vertex.order - 2].tolist()):
+            if share:
+                means[:, :, knot] += (share * 2.0 / count) * sums
+                squares[knot] += share * share * products
+    return means.permute(4, 0, 1, 2, 3).to(torch.float32), squares
+
+
+def _trace_batch_fused(
+    grid: DensityGrid,
+    sun_direction: Tensor,
+    batch: _Batch,
+    nodes: TableNodes,
+    plan: OrderPlan,
+    step: float,
+    stream: int,
+) -> tuple[Tensor, Tensor]:
+    """The same in one fused loop."""
+    from precompute.fused_paths import trace_paths  # needs numba
+
+    return trace_paths(
+        grid.table.padded,
+        torch.stack([grid.lower, grid.upper, grid.voxel_size]),
+        step * float(grid.voxel_size.min()),
+        DARKEST_DEPTH / float(nodes.extinction[0]),
+        batch.position,
+        batch.direction,
+        sun_direction,
+        torch.full((len(batch.position),), batch.count),
+        batch.counters,
+        nodes.asymmetry,
+        nodes.asymmetry_anchors,
+        nodes.asymmetry_odds,
+        nodes.extinction,
+        nodes.extinction_anchors,
+        plan.continuation,
+        plan.connection,
+        plan.sun_lobe,
+        plan.shares,
+        stream,
+    )

@@ -1,20 +1,21 @@
 """Scattering stacks on disk: build one, or load the one that was built for just this volume, camera, sun and effort."""
 
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from precompute.scattering_orders import Effort, Progress, build_scattering_stack
+from precompute.error_budget import Effort
+from precompute.scattering_orders import Progress, build_scattering_stack
 from precompute.store import load_tables, save_tables, table_key
 from render.camera import Camera
 from render.density_grid import DensityGrid
 from render.errors import StoreError
 from render.scattering_stack import ScatteringTables
 
-STACK_VERSION = 2
+STACK_VERSION = 3
 """Raised whenever the numbers that the same arguments give change; older files are then built anew."""
 
 
@@ -93,16 +94,35 @@ def load_or_build_stack(
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
         save_stack(path, tables, key, {"effort": effort.__dict__, "seed": seed, "seconds": seconds})
-    return tables, StackReport(seconds, False, path)
+    return round_tables(tables), StackReport(seconds, False, path)
+
+
+def round_tables(tables: ScatteringTables) -> ScatteringTables:
+    """Tables as a file holds them: the images of the orders from two upwards to 1 part in 2000 of each pixel."""
+    return _unpack(tables, *_pack(tables))
+
+
+def _pack(tables: ScatteringTables) -> tuple[Tensor, Tensor]:
+    """Images relative to their means in half precision, which takes half the space, and the means `(knot, asymmetry, extinction)`."""
+    mean = tables.multiple.double().sum(-1) / max(len(tables.pixel), 1)
+    mean = mean.to(torch.float32)
+    relative = torch.where(mean[..., None] > 0, tables.multiple / mean[..., None], 0.0)
+    return relative.clamp(max=torch.finfo(torch.float16).max).to(torch.float16), mean
+
+
+def _unpack(tables: ScatteringTables, relative: Tensor, mean: Tensor) -> ScatteringTables:
+    return replace(tables, multiple=relative.to(torch.float32) * mean[..., None])
 
 
 def save_stack(path: Path, tables: ScatteringTables, key: str, provenance: dict[str, object]) -> None:
     """Write tables under a key; `provenance` must be JSON. Raises StoreError if that fails."""
     tensors = {item.name: value for item in fields(tables) if isinstance(value := getattr(tables, item.name), Tensor)}
+    tensors["multiple"], tensors["multiple_mean"] = _pack(tables)
     about = {
         **provenance,
         "width": tables.width,
         "height": tables.height,
+        "groups": tables.groups,
         "torch": torch.__version__,
     }
     save_tables(path, tensors, about, key)
@@ -112,6 +132,8 @@ def load_stack(path: Path, key: str) -> ScatteringTables:
     """Read tables that `save_stack` wrote under the same key. Raises StoreError otherwise."""
     tensors, about = load_tables(path, key)
     try:
-        return ScatteringTables(width=int(about["width"]), height=int(about["height"]), **tensors)
+        mean, groups = tensors.pop("multiple_mean"), tuple(about["groups"])
+        tables = ScatteringTables(width=int(about["width"]), height=int(about["height"]), groups=groups, **tensors)
+        return _unpack(tables, tables.multiple, mean)
     except (KeyError, TypeError, ValueError) as error:
         raise StoreError(f"cannot load the stack {path}: other tables than expected ({error})") from error

@@ -8,8 +8,10 @@ For a fixed volume, camera and sun the radiance of a cloud pixel is (Dobashi et 
 with the sunlight's intensity L_in, the albedo beta, the asymmetry g, the extinction s [1/m], the phase function p, the cosine of the angle
 theta between view and sun, the optical length u [m], the single-scattering integral S1 and the orders f_k, k >= 2. S1 and f_k are
 tables, interpolated over ln s and g. Powers of s are straight lines in logarithms, so those of S1, which has no noise, are interpolated.
-f_k is split into its mean over the pixels, whose logarithm is interpolated, and the image relative to that mean, which is interpolated as
-it is: the logarithm of a noisy number is too small on average, between nodes by half its relative variance.
+High orders share the images of a few knots: sum beta^k f_k over k >= 2 is taken as sum beta^K F_K over the knots K (how orders are shared
+out is the builder's choice), and the orders beyond the last knot as a geometric series with a measured ratio. F_K is split into its mean
+over the pixels, whose logarithm is interpolated, and the image relative to that mean, which is interpolated as it is: the logarithm of a
+noisy number is too small on average, between nodes by half its relative variance.
 """
 
 from dataclasses import dataclass
@@ -23,6 +25,9 @@ from render.phase_functions import evaluate_phase_function
 
 SMALLEST_SHARE = 1e-7
 """Table entries are held at this share of their node's largest entry, so that their logarithm exists."""
+
+SMALLEST_PART = 1e-5
+"""Of the multiple scattering below which an image is left out of a composition without gradients."""
 
 SMALLEST_MEAN = 1e-37
 """Mean of an order's image below which it counts as black; float32 holds little less."""
@@ -39,11 +44,15 @@ class ScatteringTables:
         cos_sun: cosine of the angle between view and sun `(pixel,)`.
         asymmetry: nodes `(asymmetry,)`.
         extinction: nodes `(extinction,)` [1/m].
+        knots: exponents of the albedo `(knot,)`; 2, 3 and 4 stand for themselves, the others for the orders around them too.
         single: S1 `(extinction, pixel)`.
-        multiple: f_k `(order, asymmetry, extinction, pixel)` [1/sr], entry 0 is k = 2.
-        standard_error: relative RMS over the pixels of each order's image `(order, asymmetry, extinction)`.
-        image_error: the same for the sum of all orders at albedo one `(asymmetry, extinction)`.
-        effective_share: effective sample size over paths `(order, asymmetry, extinction)`.
+        multiple: f `(knot, asymmetry, extinction, pixel)` [1/sr].
+        tail_ratio: of two successive orders beyond the last knot K `(asymmetry, extinction)`; zero leaves them out.
+        tail_share: of order K in the last image `(asymmetry, extinction)`.
+        standard_error: relative RMS over the pixels of each image `(knot, asymmetry, extinction)`.
+        image_error: the same for the composed image `(asymmetry, extinction)`.
+        effective_share: effective sample size over paths `(knot, asymmetry, extinction)`.
+        groups: what the builder did for each group of extinctions, in words and numbers that JSON can hold.
     """
 
     width: int
@@ -53,11 +62,15 @@ class ScatteringTables:
     cos_sun: Tensor
     asymmetry: Tensor
     extinction: Tensor
+    knots: Tensor
     single: Tensor
     multiple: Tensor
+    tail_ratio: Tensor
+    tail_share: Tensor
     standard_error: Tensor
     image_error: Tensor
     effective_share: Tensor
+    groups: tuple[dict[str, object], ...] = ()
 
     @property
     def largest_optical_length(self) -> float:
@@ -113,8 +126,8 @@ class ScatteringStack(nn.Module):
 
     @property
     def orders(self) -> int:
-        """Largest number of scatterings in the tables."""
-        return len(self.relative) + 1
+        """Largest number of scatterings that was traced."""
+        return int(self.tables.knots[-1])
 
     def forward(self, asymmetry: Tensor, extinction: Tensor, albedo: Tensor) -> CloudLayers:
         """Grey layers of a population.
@@ -144,13 +157,36 @@ class ScatteringStack(nn.Module):
         node_weights = (of_asymmetry[:, :, None] * of_extinction[:, None, :]).flatten(1)
         phase = evaluate_phase_function(self.cos_sun.to(asymmetry), asymmetry[:, None])
         single = albedo[:, None] * thinner * phase * (of_extinction @ self.log_single.to(albedo)).exp()
-        multiple = torch.zeros_like(single)
-        for number, (log_mean, relative) in enumerate(zip(self.log_mean, self.relative, strict=True)):
-            power = (albedo[:, None] * thinner) ** (number + 2) * (node_weights @ log_mean.to(albedo)).exp()[:, None]
-            # Cubic weights may be negative: next to a black pixel the interpolated image can fall a little below zero.
-            multiple = multiple + power * (node_weights @ relative.to(albedo)).clamp(min=0.0)
+        multiple = self._compose_multiple(albedo, thinner[:, 0], node_weights)
         depth = extinction[:, None] * self.optical_length.to(albedo)
         return CloudLayers(single, multiple, torch.exp(-depth), -torch.expm1(-depth))
+
+    def _compose_multiple(self, albedo: Tensor, thinner: Tensor, node_weights: Tensor) -> Tensor:
+        """Sum of the images of the orders from two upwards `(population, pixel)`."""
+        mean = (node_weights @ self.log_mean.to(albedo).T).exp() * self._albedo_powers(albedo, thinner, node_weights)
+        images, nodes = range(len(self.relative)), torch.arange(node_weights.shape[1])
+        if not mean.requires_grad:
+            # A candidate lies among 16 nodes, and its high orders may be nothing: most of the tables need not be read.
+            seen = mean > SMALLEST_PART * mean.sum(1, keepdim=True)
+            images, nodes = torch.nonzero(seen.any(0)).flatten().tolist(), torch.nonzero(node_weights.any(0)).flatten()
+        weights = node_weights.index_select(1, nodes)
+        multiple = albedo.new_zeros(len(albedo), self.relative.shape[2])
+        for number in images:
+            relative = self.relative[number] if len(nodes) == self.relative.shape[1] else self.relative[number, nodes]
+            # Cubic weights may be negative: next to a black pixel the interpolated image can fall a little below zero.
+            multiple = multiple + mean[:, number, None] * (weights @ relative.to(albedo)).clamp(min=0.0)
+        return multiple
+
+    def _albedo_powers(self, albedo: Tensor, thinner: Tensor, node_weights: Tensor) -> Tensor:
+        """(albedo thinner)^knot for each image `(population, knot)`, the last with the orders beyond it."""
+        loss = albedo * thinner
+        powers = [loss**knot for knot in self.tables.knots.tolist()]
+        ratio, share = (
+            node_weights @ values.flatten().to(albedo) for values in (self.tables.tail_ratio, self.tables.tail_share)
+        )
+        kept = loss * ratio.clamp(0.0, 0.999)
+        powers[-1] = powers[-1] * (1.0 + share.clamp(min=0.0) * kept / (1.0 - kept))
+        return torch.stack(powers, dim=1)
 
     def is_usable(self, asymmetry: Tensor, extinction: Tensor) -> Tensor:
         """Whether all nodes around each candidate meet the accepted error `(population,)` bool."""

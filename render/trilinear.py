@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from render.errors import ParameterError
+from render.fused import fused_loops_wanted
 
 CORNER_TABLE_VOXELS = 16_000_000
 """Up to this many voxels the eight corners of each cell are stored side by side: one cache line a look-up, eight times the
@@ -38,17 +39,17 @@ class TrilinearTable:
         return z, y, x
 
     @cached_property
-    def _padded(self) -> Tensor:
-        """The table with axes of length one doubled, so that every axis has at least one cell."""
+    def padded(self) -> Tensor:
+        """The values with axes of length one doubled, so that every axis has at least one cell."""
         values = self.values
         for axis in range(3):
             if values.shape[axis] == 1:
                 values = values.repeat_interleave(2, dim=axis)
-        return values
+        return values.contiguous()
 
     @cached_property
     def _corner_offsets(self) -> list[int]:
-        _, rows, row = self._padded.shape
+        _, rows, row = self.padded.shape
         return [(dz * rows + dy) * row + dx for dz in (0, 1) for dy in (0, 1) for dx in (0, 1)]
 
     @cached_property
@@ -58,7 +59,7 @@ class TrilinearTable:
             return None
         z, y, x = self._cells
         corners = [
-            self._padded[dz : dz + z, dy : dy + y, dx : dx + x] for dz in (0, 1) for dy in (0, 1) for dx in (0, 1)
+            self.padded[dz : dz + z, dy : dy + y, dx : dx + x] for dz in (0, 1) for dy in (0, 1) for dx in (0, 1)
         ]
         return torch.stack(corners, dim=-1).reshape(-1, 8)
 
@@ -66,8 +67,8 @@ class TrilinearTable:
         if self._corner_table is not None:
             _, y, x = self._cells
             return self._corner_table.index_select(0, (cell_z * y + cell_y) * x + cell_x)
-        flat = self._padded.reshape(-1)
-        _, rows, row = self._padded.shape
+        flat = self.padded.reshape(-1)
+        _, rows, row = self.padded.shape
         base = (cell_z.long() * rows + cell_y) * row + cell_x
         return torch.stack([flat.index_select(0, base + offset) for offset in self._corner_offsets], dim=-1)
 
@@ -81,6 +82,11 @@ class TrilinearTable:
             Values of the same shape.
         """
         shape = x.shape
+        if x.dtype == self.values.dtype == torch.float32 and fused_loops_wanted(self.values, x, y, z):
+            from render.fused_trilinear import look_up_trilinear  # needs numba
+
+            flat = (coordinate.reshape(-1).contiguous() for coordinate in (x, y, z))
+            return look_up_trilinear(self.padded, *flat).reshape(shape)
         parts = [
             self._look_up_chunk(*chunk)
             for chunk in zip(*(c.reshape(-1).split(LOOK_UP_CHUNK) for c in (x, y, z)), strict=True)

@@ -1,0 +1,84 @@
+"""Fused twin of the counting loop of `haze_histograms`; imported only where numba is installed."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from render.fused import run_in_threads
+
+BLOCK = 2048
+"""Pixels whose steps are computed before they are counted: the first loop is vectorised, the second cannot be."""
+
+Floats = NDArray[np.float32]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _count_haze(
+    cloud: Floats,
+    sky: Floats,
+    weight: float,
+    levels: NDArray[np.uint8],
+    rooted: bool,
+    steps: float,
+    counts: NDArray[np.int64],
+) -> None:
+    """Add the levels of one channel of one candidate behind one amount of air to the counts `(bin,)`."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    places = np.empty(BLOCK, np.uint16)
+    for first in range(0, len(sky), BLOCK):
+        size = min(BLOCK, len(sky) - first)
+        for n in range(size):
+            value = weight * (cloud[first + n] - sky[first + n]) + sky[first + n]
+            # The last bit of sky + (cloud - sky) is not the cloud's.
+            value = cloud[first + n] if weight == one else value
+            value = min(max(value, zero), one)
+            places[n] = np.uint16((np.sqrt(value) if rooted else value) * steps)
+        for n in range(size):
+            counts[levels[places[n]]] += 1
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _count_jobs(
+    clouds: Floats,
+    skies: Floats,
+    haze: Floats,
+    levels: NDArray[np.uint8],
+    rooted: bool,
+    steps: float,
+    counts: NDArray[np.int64],
+    first: int,
+    last: int,
+) -> None:
+    channels = len(skies)
+    for job in range(first, last):
+        candidate, channel = job // channels, job % channels
+        for kappa in range(haze.shape[1]):
+            weight = haze[candidate, kappa, channel]
+            row = counts[candidate, kappa, channel]
+            _count_haze(clouds[candidate, channel], skies[channel], weight, levels, rooted, steps, row)
+
+
+def count_hazes(
+    clouds: Floats, skies: Floats, haze: Floats, levels: NDArray[np.uint8], rooted: bool, steps: int
+) -> NDArray[np.int64]:
+    """Number of pixels at each level, for every candidate, haze and channel.
+
+    Args:
+        clouds: (population, channel, pixel) finite linear light.
+        skies: (channel, pixel) likewise.
+        haze: (population, kappa, channel) shares of the cloud's own light.
+        levels: (65536,) level of each step of the bent values.
+        rooted: whether values are bent by the square root.
+        steps: number of steps between 0 and 1.
+
+    Returns:
+        (population, kappa, channel, bin).
+    """
+    counts = np.zeros((*haze.shape, 256), np.int64)
+    jobs = len(clouds) * len(skies)
+    run_in_threads(
+        lambda first, last: _count_jobs(clouds, skies, haze, levels, rooted, np.float32(steps), counts, first, last),
+        jobs,
+        1,
+    )
+    return counts

@@ -1,0 +1,106 @@
+"""Fused twin of the marching loop of `free_flight.fly`; imported only where numba is installed."""
+
+import math
+
+import numpy as np
+import torch
+from numba import njit
+from numpy.typing import NDArray
+from torch import Tensor
+
+from render.fused import run_in_threads
+from render.fused_trilinear import Floats, interpolate
+
+CHUNK = 1 << 12
+
+
+@njit(nogil=True, cache=True, inline="always")
+def march(
+    values: Floats,
+    start: tuple[float, float, float],
+    rate: tuple[float, float, float],
+    length: float,
+    steps: int,
+    target: float,
+) -> tuple[bool, float, float]:
+    """Follow one ray through the table until its optical length is used up.
+
+    Args:
+        values: densities `(z, y, x)`.
+        start: table coordinates x, y, z of the first sample.
+        rate: their change with each step.
+        length: of a step [m].
+        steps: number of them.
+        target: optical length to use up [m].
+
+    Returns:
+        Whether that happened; the distance travelled until then [m]; the optical length passed [m].
+    """
+    half = np.float32(0.5)
+    before = interpolate(values, start[0], start[1], start[2])
+    passed = 0.0
+    for step in range(steps):
+        number = np.float32(step + 1)
+        after = interpolate(
+            values, start[0] + rate[0] * number, start[1] + rate[1] * number, start[2] + rate[2] * number
+        )
+        increment = half * length * (before + after)
+        if passed + increment > target:
+            amount = (target - passed) / length
+            root = math.sqrt(max(before * before + 2.0 * (after - before) * amount, 0.0))
+            fraction = min(max(2.0 * amount / max(before + root, 1e-30), 0.0), 1.0)
+            return True, np.float32((step + fraction) * length), np.float32(target)
+        passed += increment
+        before = after
+    return False, np.float32(0.0), np.float32(passed)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _march_rays(
+    values: Floats,
+    start: Floats,
+    rate: Floats,
+    length: Floats,
+    steps: Floats,
+    target: Floats,
+    collided: NDArray[np.bool_],
+    travelled: Floats,
+    passed: Floats,
+    first: int,
+    last: int,
+) -> None:
+    for n in range(first, last):
+        if length[n] > 0.0:
+            collided[n], travelled[n], passed[n] = march(
+                values,
+                (start[n, 0], start[n, 1], start[n, 2]),
+                (rate[n, 0], rate[n, 1], rate[n, 2]),
+                length[n],
+                int(steps[n]),
+                target[n],
+            )
+
+
+@torch.library.custom_op("cloudfit::march_flights", mutates_args=())
+def march_flights(
+    values: Tensor, start: Tensor, rate: Tensor, length: Tensor, steps: Tensor, target: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Follow rays until their optical lengths are used up.
+
+    Args:
+        values: densities `(z, y, x)`, no axis shorter than two.
+        start: table coordinates x, y, z of the first samples `(ray, 3)`.
+        rate: their change with each step `(ray, 3)`.
+        length: of the steps `(ray,)` [m]; rays of length zero are not followed.
+        steps: number of them `(ray,)`.
+        target: optical lengths to use up `(ray,)` [m].
+
+    Returns:
+        Whether that happened, the distance travelled until then [m] and the optical length passed [m], each `(ray,)`.
+    """
+    collided = torch.zeros(len(length), dtype=torch.bool)
+    travelled, passed = torch.zeros_like(length), torch.zeros_like(length)
+    arrays = [tensor.contiguous().numpy() for tensor in (values, start, rate, length, steps, target)]
+    results = [tensor.numpy() for tensor in (collided, travelled, passed)]
+    run_in_threads(lambda first, last: _march_rays(*arrays, *results, first, last), len(length), CHUNK)
+    return collided, travelled, passed

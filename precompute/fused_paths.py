@@ -1,0 +1,326 @@
+"""Fused twin of `path_sampler` and of the sums over its paths; imported only where numba is installed.
+
+One path is followed from its start to its end before the next begins, with the same random numbers as in the torch code. Products of
+phase functions are kept as numbers instead of logarithms, scaled after each scattering by the largest density.
+"""
+
+import math
+
+import numpy as np
+import torch
+from numba import njit
+from numpy.typing import NDArray
+from torch import Tensor
+
+from precompute.fused_flight import march
+from precompute.path_sampler import ASYMMETRY_DRAW, EXTINCTION_DRAW, Draw
+from render.fused import announce_compilation, run_in_threads
+from render.fused_trilinear import Floats
+from render.random_streams import FIRST_FACTOR, GOLDEN_RATIO, SECOND_FACTOR
+
+CHUNK = 64
+"""Points whose paths are traced by one call."""
+
+Doubles = NDArray[np.float64]
+Vector = tuple[float, float, float]
+Medium = tuple[Floats, Floats, float, float]
+"""Densities; corners and voxel size of their box; marching step; farthest optical length to the sun."""
+Table = tuple[Floats, Floats, Doubles, Doubles, Doubles]
+"""Asymmetries, their anchors and the odds of these; extinctions and their anchors, each with the logarithms as a second row."""
+Plan = tuple[Doubles, Doubles, Doubles, Doubles]
+"""Continuation, connection, sun lobe and shares of an `OrderPlan`."""
+Points = tuple[Floats, Floats, Floats, NDArray[np.int64], NDArray[np.int64]]
+"""Positions, directions, the sun's direction, numbers of paths, numbers of the first paths."""
+Sums = tuple[Doubles, Doubles, Doubles, Doubles, Doubles, Doubles]
+"""Sums and squares of the weights, and space for products, densities and the two factors of a vertex."""
+
+GOLDEN, FIRST, SECOND = (np.uint64(factor) for factor in (GOLDEN_RATIO, FIRST_FACTOR, SECOND_FACTOR))
+S27, S30, S31, S41 = (np.uint64(places) for places in (27, 30, 31, 41))
+CONTINUATION, LOBE, COSINE, AZIMUTH, FLIGHT, CONNECTION = (int(draw) for draw in Draw)
+DRAWS = len(Draw)
+ONE, TWO, HALF = np.float32(1.0), np.float32(2.0), np.float32(0.5)
+CELL = np.float32(2.0**-23)
+TINY = np.finfo(np.float32).tiny
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _mix(state: np.uint64) -> np.uint64:
+    state = (state ^ (state >> S30)) * FIRST
+    state = (state ^ (state >> S27)) * SECOND
+    return state ^ (state >> S31)
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _uniform(key: np.uint64, dimension: int) -> float:
+    bits = _mix(key + np.uint64(dimension + 1) * GOLDEN)
+    return (np.float32(bits >> S41) + HALF) * CELL
+
+
+@njit(nogil=True, cache=True)
+def _choose(uniform: float, odds: Doubles) -> int:
+    """Number of an anchor; the odds sum to one."""
+    reached = 0.0
+    for anchor in range(len(odds) - 1):
+        reached += odds[anchor]
+        if uniform < reached:
+            return anchor
+    return len(odds) - 1
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _phase(cosine: float, asymmetry: float) -> float:
+    size = abs(asymmetry)
+    peak = (ONE - size) * (ONE - size) + TWO * max(size - asymmetry * cosine, np.float32(0.0))
+    return (1.0 - asymmetry * asymmetry) / (4.0 * math.pi * peak * math.sqrt(peak))
+
+
+@njit(nogil=True, cache=True)
+def _turn(axis: Vector, asymmetry: float, first: float, second: float) -> Vector:
+    """Direction drawn from a lobe around an axis; see `sample_phase_cosine` and `rotate_direction`."""
+    xi = TWO * first - ONE
+    q = (ONE - asymmetry * asymmetry) / (ONE + asymmetry * xi)
+    cosine = HALF * ((ONE + q) * (asymmetry + xi) / (ONE + asymmetry * xi) + asymmetry)
+    cosine = min(max(cosine, -ONE), ONE)
+    x, y, z = axis
+    sign = ONE if z >= 0.0 else -ONE
+    a = -ONE / (sign + z)
+    b = x * y * a
+    sine = np.float32(math.sqrt(max((ONE - cosine) * (ONE + cosine), np.float32(0.0))))
+    azimuth = np.float32(2.0 * math.pi) * second
+    u, v = sine * np.float32(math.cos(azimuth)), sine * np.float32(math.sin(azimuth))
+    turned_x = u * (ONE + sign * x * x * a) + v * b + cosine * x
+    turned_y = u * (sign * b) + v * (sign + y * y * a) + cosine * y
+    turned_z = -u * (sign * x) - v * y + cosine * z
+    scale = ONE / np.float32(math.sqrt(turned_x * turned_x + turned_y * turned_y + turned_z * turned_z))
+    return turned_x * scale, turned_y * scale, turned_z * scale
+
+
+@njit(nogil=True, cache=True)
+def _chord(box: Floats, position: Vector, direction: Vector) -> tuple[float, float]:
+    """Distances at which a ray enters and leaves the box; equal if it misses. See `DensityGrid.intersect`."""
+    near, far = np.float32(0.0), np.float32(np.inf)
+    for axis in range(3):
+        p, d = position[axis], direction[axis]
+        if abs(d) < TINY:
+            if p < box[0, axis] or p > box[1, axis]:
+                return np.float32(0.0), np.float32(0.0)
+        else:
+            inverse = ONE / d
+            one, other = (box[0, axis] - p) * inverse, (box[1, axis] - p) * inverse
+            near, far = max(near, min(one, other)), min(far, max(one, other))
+    if far > near:
+        return near, far
+    return np.float32(0.0), np.float32(0.0)
+
+
+@njit(nogil=True, cache=True)
+def _fly(
+    values: Floats, box: Floats, stride: float, position: Vector, direction: Vector, target: float
+) -> tuple[bool, Vector, float]:
+    """One free flight: whether it ended inside, where, and the optical length passed. `box` holds corners and voxel size."""
+    near, far = _chord(box, position, direction)
+    steps = max(math.ceil((far - near) / stride), 1)
+    length = (far - near) / np.float32(steps)
+    if not length > 0.0:
+        return False, position, np.float32(0.0)
+    start_x = (position[0] + near * direction[0] - box[0, 0]) / box[2, 0] - HALF
+    start_y = (position[1] + near * direction[1] - box[0, 1]) / box[2, 1] - HALF
+    start_z = (position[2] + near * direction[2] - box[0, 2]) / box[2, 2] - HALF
+    rate_x = direction[0] / box[2, 0] * length
+    rate_y = direction[1] / box[2, 1] * length
+    rate_z = direction[2] / box[2, 2] * length
+    hit, travelled, passed = march(values, (start_x, start_y, start_z), (rate_x, rate_y, rate_z), length, steps, target)
+    way = near + travelled
+    end = (position[0] + way * direction[0], position[1] + way * direction[1], position[2] + way * direction[2])
+    return hit, end, passed
+
+
+@njit(nogil=True, cache=True)
+def _scatter(
+    cosine: float,
+    cosine_sun: float,
+    sun_lobe: float,
+    nodes: Floats,
+    anchors: Floats,
+    odds: Doubles,
+    product: Doubles,
+    density: Doubles,
+) -> float:
+    """Multiply one scattering into the products; return the density of all anchors. All are scaled by the largest density."""
+    largest = 0.0
+    for a in range(len(anchors)):
+        density[a] *= (1.0 - sun_lobe) * _phase(cosine, anchors[a]) + sun_lobe * _phase(cosine_sun, anchors[a])
+        largest = max(largest, density[a])
+    scale, mean = 1.0 / largest, 0.0
+    for a in range(len(anchors)):
+        density[a] *= scale
+        mean += odds[a] * density[a]
+    for g in range(len(nodes)):
+        product[g] *= _phase(cosine, nodes[g]) * scale
+    return mean
+
+
+@njit(nogil=True, cache=True)
+def _connect(order: int, passed: float, sun_length: float, nodes: Doubles, anchors: Doubles, factor: Doubles) -> None:
+    """S of a vertex at each extinction; row 0 of nodes and anchors holds the extinctions, row 1 their logarithms."""
+    largest = -np.inf
+    for b in range(anchors.shape[1]):
+        largest = max(largest, (order - 1) * anchors[1, b] - anchors[0, b] * passed)
+    mean = 0.0
+    for b in range(anchors.shape[1]):
+        mean += math.exp((order - 1) * anchors[1, b] - anchors[0, b] * passed - largest)
+    for s in range(nodes.shape[1]):
+        exponent = (order - 1) * nodes[1, s] - nodes[0, s] * (passed + sun_length)
+        factor[s] = math.exp(exponent - largest) * anchors.shape[1] / mean
+
+
+@njit(nogil=True, cache=True)
+def _deposit(share: float, of_g: Doubles, of_s: Doubles, sums: Doubles, squares: Doubles) -> None:
+    for g in range(len(of_g)):
+        weight = share * of_g[g]
+        for s in range(len(of_s)):
+            value = weight * of_s[s]
+            sums[g, s] += value
+            squares[g, s] += value * value
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _trace_path(
+    medium: Medium, table: Table, plan: Plan, position: Vector, direction: Vector, sun: Vector, key: int, sums: Sums
+) -> None:
+    """Follow one path and add its weights to the sums `(knot, asymmetry, extinction)`."""
+    values, box, stride, farthest = medium
+    asymmetry, asymmetry_anchors, odds, extinction, extinction_anchors = table
+    continuation, connection, sun_lobe, shares = plan
+    of_node, of_square, product, density, of_g, of_s = sums
+    product[:], density[:] = 1.0, 1.0
+    lobe = asymmetry_anchors[_choose(_uniform(key, ASYMMETRY_DRAW), odds)]
+    thickness = extinction_anchors.shape[1]
+    anchor = np.float32(extinction_anchors[0, min(int(_uniform(key, EXTINCTION_DRAW) * thickness), thickness - 1)])
+    passed, reached = np.float32(0.0), 1.0
+    for order in range(2, len(continuation) + 2):
+        dimension = 2 + DRAWS * (order - 2)
+        if not _uniform(key, dimension + CONTINUATION) < continuation[order - 2]:
+            return
+        axis = sun if _uniform(key, dimension + LOBE) < sun_lobe[order - 2] else direction
+        turned = _turn(axis, lobe, _uniform(key, dimension + COSINE), _uniform(key, dimension + AZIMUTH))
+        target = -np.float32(math.log(_uniform(key, dimension + FLIGHT))) / anchor
+        hit, position, used = _fly(values, box, stride, position, turned, target)
+        if not hit:
+            return
+        reached *= continuation[order - 2]
+        passed += used
+        cosine = direction[0] * turned[0] + direction[1] * turned[1] + direction[2] * turned[2]
+        cosine_sun = sun[0] * turned[0] + sun[1] * turned[1] + sun[2] * turned[2]
+        direction = turned
+        mean = _scatter(cosine, cosine_sun, sun_lobe[order - 2], asymmetry, asymmetry_anchors, odds, product, density)
+        if not _uniform(key, dimension + CONNECTION) < connection[order - 2]:
+            continue
+        weight = 1.0 / (mean * reached * connection[order - 2])
+        for g in range(len(asymmetry)):
+            of_g[g] = product[g] * _phase(cosine_sun, asymmetry[g]) * weight
+        sun_length = _fly(values, box, stride, position, sun, farthest)[2]
+        _connect(order, passed, sun_length, extinction, extinction_anchors, of_s)
+        for knot in range(shares.shape[1]):
+            if shares[order - 2, knot] != 0.0:
+                _deposit(shares[order - 2, knot], of_g, of_s, of_node[knot], of_square[knot])
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _trace_points(
+    medium: Medium,
+    table: Table,
+    plan: Plan,
+    points: Points,
+    stream: int,
+    source: Floats,
+    squares: Doubles,
+    first: int,
+    last: int,
+) -> None:
+    """Means over the paths of each point, into `source` `(extinction, point, half, knot, asymmetry)`, and sums of squares."""
+    position, direction, sun, counts, counters = points
+    knots, lobes, thickness = plan[3].shape[1], len(table[0]), table[3].shape[1]
+    product, density = np.empty(lobes), np.empty(len(table[1]))
+    of_g, of_s = np.empty(lobes), np.empty(thickness)
+    means = np.empty((knots, lobes, thickness))
+    towards = (sun[0], sun[1], sun[2])
+    for p in range(first, last):
+        start = (position[p, 0], position[p, 1], position[p, 2])
+        heading = (direction[p, 0], direction[p, 1], direction[p, 2])
+        size = counts[p] // 2
+        for half in range(2):
+            means[:] = 0.0
+            for path in range(half * size, (half + 1) * size):
+                key = _mix(stream + np.uint64(counters[p] + path + 1) * GOLDEN)
+                sums = (means, squares, product, density, of_g, of_s)
+                _trace_path(medium, table, plan, start, heading, towards, key, sums)
+            for s in range(thickness):
+                source[s, p, half] = means[:, :, s] / size
+
+
+@torch.library.custom_op("cloudfit::trace_paths", mutates_args=())
+def trace_paths(
+    values: Tensor,
+    box: Tensor,
+    stride: float,
+    farthest: float,
+    position: Tensor,
+    direction: Tensor,
+    sun_direction: Tensor,
+    counts: Tensor,
+    counters: Tensor,
+    asymmetry: Tensor,
+    asymmetry_anchors: Tensor,
+    asymmetry_odds: Tensor,
+    extinction: Tensor,
+    extinction_anchors: Tensor,
+    continuation: Tensor,
+    connection: Tensor,
+    sun_lobe: Tensor,
+    shares: Tensor,
+    stream: int,
+) -> tuple[Tensor, Tensor]:
+    """Trace paths from points and sum their weights.
+
+    Args:
+        values: densities `(z, y, x)`, no axis shorter than two.
+        box: lower corner, upper corner and edges of a voxel `(3, 3)` [m].
+        stride: longest marching step [m].
+        farthest: optical length to the sun beyond which nothing is lit [m].
+        position, direction: of the points and of the camera rays there `(point, 3)`.
+        sun_direction: unit vector towards the sun `(3,)`.
+        counts: paths of each point `(point,)`, even.
+        counters: number of each point's first path `(point,)`.
+        asymmetry, asymmetry_anchors, asymmetry_odds, extinction, extinction_anchors: see `TableNodes`.
+        continuation, connection, sun_lobe, shares: see `OrderPlan`.
+        stream: from `stream_number`.
+
+    Returns:
+        Mean weights of both halves of the paths `(extinction, point, half, knot, asymmetry)` [1/sr], and the sums over all paths of their
+        squares `(knot, asymmetry, extinction)`.
+    """
+    announce_compilation()
+    knots, lobes, thickness = shares.shape[1], len(asymmetry), len(extinction)
+    source = torch.empty(thickness, len(position), 2, knots, lobes)
+    chunks = max(1, math.ceil(len(position) / CHUNK))
+    squares = torch.zeros(chunks, knots, lobes, thickness, dtype=torch.float64)
+    medium = (values.numpy(), box.numpy(), np.float32(stride), np.float32(farthest))
+    table = (
+        *(tensor.numpy() for tensor in (asymmetry, asymmetry_anchors, asymmetry_odds)),
+        _with_logarithm(extinction),
+        _with_logarithm(extinction_anchors),
+    )
+    plan = (continuation.numpy(), connection.numpy(), sun_lobe.numpy(), shares.numpy())
+    points = tuple(tensor.contiguous().numpy() for tensor in (position, direction, sun_direction, counts, counters))
+    out, of_chunk = source.numpy(), squares.numpy()
+
+    def work(first: int, last: int) -> None:
+        _trace_points(medium, table, plan, points, np.uint64(stream), out, of_chunk[first // CHUNK], first, last)
+
+    run_in_threads(work, len(position), CHUNK)
+    return source, squares.sum(0)
+
+
+def _with_logarithm(extinction: Tensor) -> Doubles:
+    return torch.stack([extinction.double(), extinction.double().log()]).numpy()

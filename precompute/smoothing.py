@@ -1,0 +1,108 @@
+"""Smoothing the source over neighbouring points, as far as noise exceeds the error that smoothing makes.
+
+Light scattered often varies over the volume like a solution of the diffusion equation: nearly linear from point to point, so an average
+over neighbours changes it little while it cuts the noise. The average is the B3 spline [1 4 6 4 1]/16 along each axis, once per level and
+with twice the spacing each time (a starlet transform: Starck, Murtagh & Bertero 2015, "Starlet transform in astronomical data
+processing"), weighted with the points' numbers of paths. How far to go is decided for each image by two independent halves A and B of the
+paths (Rousselle, Knaus & Zwicker 2012, "Adaptive rendering with non-local means filtering"): with A' and B' their smoothed images
+
+    noise^2 = mean (A' - B')^2 / 4,        bias^2 = mean (A' - A)(B' - B),
+
+the noise of A and B drops out of the second on average since they have none in common. The level with the smallest sum is taken.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import embedding_bag
+
+from precompute.gather import Lattice
+
+SPLINE = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
+
+LEVELS = 3
+"""Of smoothing; the last one averages over some thousand neighbours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbourhood:
+    """Which source points are averaged.
+
+    Args:
+        axes: for each level and axis, the point's neighbours among the points `(point, tap)` int32 and their weights, zero for
+            neighbours that are no source points `(point, tap)`.
+        paths: of each point, the weight of its value `(point, 1)`.
+    """
+
+    axes: tuple[tuple[tuple[Tensor, Tensor], ...], ...]
+    paths: Tensor
+
+    def levels(self, source: Tensor) -> Iterator[Tensor]:
+        """The source, then smoothed ever more; all `(point, column)`."""
+        yield source
+        weighted, weight = source * self.paths, self.paths
+        for axes in self.axes:
+            for neighbours, taps in axes:
+                weighted = embedding_bag(neighbours, weighted, per_sample_weights=taps, mode="sum")
+                weight = embedding_bag(neighbours, weight, per_sample_weights=taps, mode="sum")
+            yield weighted / weight
+
+
+def find_neighbours(lattice: Lattice, numbers: Tensor, paths: Tensor) -> Neighbourhood:
+    """Neighbours of source points.
+
+    Args:
+        lattice: of the points.
+        numbers: of the lattice points that are source points `(point,)`.
+        paths: traced from each `(point,)`.
+    """
+    entry = torch.full((lattice.size,), -1, dtype=torch.int32)
+    entry[numbers] = torch.arange(len(numbers), dtype=torch.int32)
+    counts = lattice.counts
+    strides = (1, counts[0], counts[0] * counts[1])
+    places = (numbers % counts[0], numbers // counts[0] % counts[1], numbers // strides[2])
+    levels = []
+    for level in range(LEVELS):
+        offsets = torch.arange(-2, 3) << level
+        axes = []
+        for place, stride, count in zip(places, strides, counts, strict=True):
+            within = (place[:, None] + offsets >= 0) & (place[:, None] + offsets < count)
+            reached = entry[torch.where(within, numbers[:, None] + offsets * stride, numbers[:, None])]
+            taps = torch.where(within & (reached >= 0), torch.tensor(SPLINE), 0.0)
+            axes.append((reached.clamp(min=0), taps))
+        levels.append(tuple(axes))
+    return Neighbourhood(tuple(levels), paths.to(torch.float32)[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class LevelErrors:
+    """Mean squares over pixels.
+
+    Args:
+        noise: of the smoothed images.
+        bias: that smoothing made; an estimate, which may be negative.
+    """
+
+    noise: Tensor
+    bias: Tensor
+
+    @classmethod
+    def of(cls, raw: Tensor, smooth: Tensor) -> "LevelErrors":
+        """Errors of smoothed images `(pixel, half, ...)`, each number over the pixels."""
+        smooth = smooth.double()
+        change = smooth - raw.double()
+        noise = (smooth[:, 0] - smooth[:, 1]).square().mean(0) / 4.0
+        return cls(noise, (change[:, 0] * change[:, 1]).mean(0))
+
+    @property
+    def total(self) -> Tensor:
+        """Squared error."""
+        return self.noise + self.bias.clamp(min=0.0)
+
+
+def measure_levels(images: list[Tensor]) -> LevelErrors:
+    """Errors `(level, ...)` of images `(pixel, half, ...)` at every level, the first one without smoothing."""
+    errors = [LevelErrors.of(images[0], image) for image in images]
+    return LevelErrors(torch.stack([one.noise for one in errors]), torch.stack([one.bias for one in errors]))

@@ -1,0 +1,314 @@
+"""One group of extinction nodes of similar optical depth: its source points, passes of paths, smoothing and images.
+
+A thin group needs few, widely spaced source points, since light varies over the whole cloud; a thick one needs points near the surface
+that the camera sees, closer together than the mean free path allows anywhere else. So each group has its own lattice, its own marching
+step and its own set of paths for all of its nodes.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import embedding_bag
+
+from precompute.error_budget import (
+    OMITTED_SHARE,
+    Effort,
+    ErrorProbe,
+    GroupReport,
+    NodeErrors,
+    StopReason,
+    box_error,
+    choose_levels,
+    next_pass,
+    probe_rays,
+)
+from precompute.gather import Lattice, Strata, gather_bags, lattice_over, stratify_rays
+from precompute.order_plan import OrderPlan, plan_orders
+from precompute.path_sampler import TableNodes
+from precompute.single_scattering import compute_single_scattering
+from precompute.smoothing import find_neighbours
+from precompute.source_points import SourceTable, allocate_paths
+from precompute.view import View
+from render.phase_functions import evaluate_phase_function
+
+STEP_DEPTH = 0.5
+"""Optical depth of a marching step in the densest voxel, within the bounds that follow."""
+
+SMALLEST_STEP, LARGEST_STEP = 0.25, 1.0
+"""Bounds of the marching step in voxels."""
+
+THICK_SPACING = 0.5
+"""Closest lattice in voxels: pixels and density vary over a voxel, not over less."""
+
+SECTIONS_PER_STRATUM = 2
+"""Single scattering is cut finer than the source points' strata: it has no noise to hide behind."""
+
+LARGEST_LATTICE = 1 << 24
+"""Lattice points that may be numbered, whether or not they are used."""
+
+THINNEST_ANCHOR = 0.5
+"""Largest optical depth below which no path is drawn: multiple scattering is a per-cent effect there, and reweighting reaches it."""
+
+PILOT_POINTS, PILOT_PATHS = 2000, 32_000
+"""Source points and paths of the pilot that says how fast the orders decay."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroupImages:
+    """Images of a group of extinctions for unit sunlight and albedo one.
+
+    Args:
+        single: `(extinction, pixel)`.
+        multiple: `(knot, asymmetry, extinction, pixel)`; no knot where single scattering is enough.
+        standard_error: relative RMS error of each image `(knot, asymmetry, extinction)`.
+        image_error: of the composed image `(albedo, asymmetry, extinction)`.
+        effective_share: effective sample size over paths `(knot, asymmetry, extinction)`.
+        report: what was done.
+    """
+
+    single: Tensor
+    multiple: Tensor
+    standard_error: Tensor
+    image_error: Tensor
+    effective_share: Tensor
+    report: GroupReport
+
+
+@dataclass(frozen=True, eq=False)
+class GroupTask:
+    """What a group is made of.
+
+    Args:
+        view: rays, volume and sun.
+        asymmetry: nodes `(asymmetry,)`.
+        extinction: nodes of the group `(extinction,)` [1/m].
+        albedo: at which errors are judged `(albedo,)`.
+        effort: work of this group.
+        seed: of its random streams.
+    """
+
+    view: View
+    asymmetry: Tensor
+    extinction: Tensor
+    albedo: Tensor
+    effort: Effort
+    seed: int
+
+    @property
+    def step(self) -> float:
+        """Marching step [voxel]."""
+        grid = self.view.grid
+        voxel_depth = float(self.extinction[-1]) * grid.maximum * float(grid.voxel_size.min())
+        return min(max(STEP_DEPTH / voxel_depth, SMALLEST_STEP), LARGEST_STEP)
+
+    @property
+    def nodes(self) -> TableNodes:
+        """Nodes and anchors of the paths."""
+        anchors = self.extinction[self.extinction * self.view.largest_optical_length >= THINNEST_ANCHOR]
+        return TableNodes(
+            self.asymmetry, self.extinction, self.asymmetry, anchors if len(anchors) else self.extinction[-1:]
+        )
+
+    def source_table(self, lattice: Lattice, plan: OrderPlan, stream: int) -> SourceTable:
+        """Empty table of the source on a lattice; `stream` tells its random numbers from those of the group's other tables."""
+        view = self.view
+        return SourceTable(
+            view.grid, view.camera, view.sun, lattice, self.nodes, plan, self.step, 2 * self.seed + stream
+        )
+
+
+class _Clock:
+    """Seconds by part."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._started = self._last = time.perf_counter()
+
+    def lap(self, part: str) -> None:
+        now = time.perf_counter()
+        self.seconds[part] = self.seconds.get(part, 0.0) + now - self._last
+        self._last = now
+
+    @property
+    def total(self) -> float:
+        return time.perf_counter() - self._started
+
+
+def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages:
+    """Images of a group; `report` is called with the share that is done."""
+    clock, view, effort = _Clock(), task.view, task.effort
+    sections = SECTIONS_PER_STRATUM * effort.strata
+    single = compute_single_scattering(
+        view.grid, view.origin, view.direction, view.sun, task.extinction, task.step, sections
+    )
+    clock.lap("single scattering")
+    report(0.1)
+    strata = stratify_rays(view.grid, view.origin, view.direction, task.extinction, effort.strata)
+    clock.lap("camera rays")
+    plan, omitted = _choose_orders(task, strata, single)
+    clock.lap("orders")
+    if plan is None:
+        report(1.0)
+        return _single_only(task, single, omitted, clock)
+    lattice, importance = _place_points(view, strata, effort.points)
+    clock.lap("source points")
+    table = task.source_table(lattice, plan, 1)
+    table.add_pass(allocate_paths(importance, effort.first_paths), lambda share: report(0.1 + 0.2 * share))
+    clock.lap("paths")
+    entry = torch.zeros(lattice.size, dtype=torch.int32)
+    entry[table.numbers] = torch.arange(len(table.numbers), dtype=torch.int32)
+    knots = torch.tensor(plan.knots)
+    probe = ErrorProbe(view, lattice, entry, strata, single, task.asymmetry, knots, task.albedo)
+    reason = _add_passes(task, table, importance, probe, clock, report)
+    multiple, errors = _gather(view, lattice, entry, strata, table, probe)
+    clock.lap("images")
+    report(1.0)
+    image_error = torch.stack([one.of_image for one in errors], dim=2)
+    return GroupImages(
+        single,
+        multiple,
+        torch.stack([one.of_knots for one in errors], dim=2).to(torch.float32),
+        image_error.to(torch.float32),
+        table.effective_share,
+        _describe(task, plan, omitted, table, box_error(image_error), reason, clock),
+    )
+
+
+def _add_passes(
+    task: GroupTask,
+    table: SourceTable,
+    importance: Tensor,
+    probe: ErrorProbe,
+    clock: _Clock,
+    report: Callable[[float], None],
+) -> StopReason:
+    """Trace paths until the effort's tolerance is met or its limits are reached."""
+    while True:
+        done = int(table.paths.sum())
+        if task.effort.tolerance is None:
+            return StopReason.FIXED
+        if done >= task.effort.paths:
+            return StopReason.PATHS
+        neighbours = find_neighbours(table.lattice, table.numbers, table.paths)
+        errors = [
+            probe.measure(node, list(neighbours.levels(source.flatten(1)))).of_image
+            for node, source in enumerate(table.source)
+        ]
+        clock.lap("smoothing")
+        following = next_pass(
+            task.effort, done, box_error(torch.stack(errors)), clock.total, clock.seconds["paths"] / max(done, 1)
+        )
+        if isinstance(following, StopReason):
+            return following
+        share = done / (done + following)
+        table.add_pass(
+            allocate_paths(importance, following),
+            lambda part, share=share: report(0.3 + 0.6 * (share + (1.0 - share) * part)),  # type: ignore[misc]
+        )
+        clock.lap("paths")
+
+
+def _gather(
+    view: View, lattice: Lattice, entry: Tensor, strata: Strata, table: SourceTable, probe: ErrorProbe
+) -> tuple[Tensor, list[NodeErrors]]:
+    """Smoothed images `(knot, asymmetry, extinction, pixel)`, and their errors at each extinction."""
+    neighbours = find_neighbours(lattice, table.numbers, table.paths)
+    shape = table.source.shape
+    images = torch.empty(shape[3], shape[4], shape[0], len(view.pixel))
+    errors = []
+    for node, source in enumerate(table.source):
+        levels = list(neighbours.levels(source.flatten(1)))
+        errors.append(probe.measure(node, levels))
+        chosen = choose_levels([level.unflatten(1, shape[2:]) for level in levels], errors[-1].level)
+        columns = chosen.mean(1).flatten(1)
+        for bags in gather_bags(lattice, view.origin, view.direction, strata.at(node)):
+            rows = embedding_bag(entry[bags.numbers], columns, per_sample_weights=bags.weights, mode="sum")
+            images[:, :, node, bags.rays] = rows.unflatten(1, shape[3:]).movedim(0, -1)
+    return images, errors
+
+
+def _choose_orders(task: GroupTask, strata: Strata, single: Tensor) -> tuple[OrderPlan | None, float]:
+    """Orders that the tolerance needs by the decay of their energy in a pilot, None if single scattering is enough.
+
+    Returns:
+        The plan, and the share of the image's mean that the orders left out would have at the node where it is largest.
+    """
+    full = plan_orders(task.effort.orders)
+    if task.effort.tolerance is None:
+        return full, 0.0
+    rays = probe_rays(len(task.view.pixel))
+    view, part = task.view.part(rays), strata.part(rays)
+    lattice, importance = _place_points(view, part, PILOT_POINTS)
+    table = task.source_table(lattice, full, 0)
+    table.add_pass(allocate_paths(importance, PILOT_PATHS))
+    entry = torch.zeros(lattice.size, dtype=torch.int32)
+    entry[table.numbers] = torch.arange(len(table.numbers), dtype=torch.int32)
+    powers = task.albedo.max().double() ** torch.tensor(full.knots)
+    phase = evaluate_phase_function(view.direction @ view.sun, task.asymmetry[:, None])
+    worst = torch.zeros(len(full.knots) + 1, dtype=torch.float64)
+    for bags in gather_bags(lattice, view.origin, view.direction, part):
+        columns = table.source[bags.extinction].mean(1).flatten(1)
+        rows = embedding_bag(entry[bags.numbers], columns, per_sample_weights=bags.weights, mode="sum")
+        energy = rows.double().mean(0).unflatten(0, (len(full.knots), -1)) * powers[:, None]
+        lit = (phase[:, bags.rays] * single[bags.extinction, rays[bags.rays]]).double().mean(1)
+        beyond = torch.cat([energy.flip(0).cumsum(0).flip(0), torch.zeros_like(lit)[None]])
+        worst = worst.maximum((beyond / (lit + energy.sum(0)).clamp(min=1e-300)).amax(1))
+    enough = int((worst <= OMITTED_SHARE * task.effort.tolerance).nonzero()[0])
+    if enough == len(full.knots):
+        return full, 0.0
+    return (plan_orders(full.knots[enough - 1]) if enough else None), float(worst[enough])
+
+
+def _place_points(view: View, strata: Strata, points: int) -> tuple[Lattice, Tensor]:
+    """Lattice as fine as the number of points allows, and the importance of each of its points: summed squared weights."""
+    finest = max(THICK_SPACING, (view.grid.density.numel() / LARGEST_LATTICE) ** (1.0 / 3.0))
+    stretch = max(finest, 1.0)
+    for _ in range(3):
+        lattice = lattice_over(view.grid, stretch)
+        importance = torch.zeros(lattice.size, dtype=torch.float64)
+        for bags in gather_bags(lattice, view.origin, view.direction, strata):
+            importance.index_add_(0, bags.numbers.flatten(), bags.weights.flatten().double().square())
+        used = int((importance > 0).sum())
+        wanted = max(finest, stretch * (used / points) ** 0.4)
+        if 0.8 < wanted / stretch < 1.25:
+            break
+        stretch = wanted
+    return lattice, importance
+
+
+def _single_only(task: GroupTask, single: Tensor, omitted: float, clock: _Clock) -> GroupImages:
+    """A group whose multiple scattering is left out."""
+    asymmetry, extinction = len(task.asymmetry), len(task.extinction)
+    nothing = torch.zeros(0, asymmetry, extinction)
+    error = torch.full((len(task.albedo), asymmetry, extinction), omitted)
+    report = _describe(task, None, omitted, None, omitted, StopReason.SINGLE, clock)
+    multiple = torch.zeros(0, asymmetry, extinction, len(task.view.pixel))
+    return GroupImages(single, multiple, nothing, error, nothing, report)
+
+
+def _describe(
+    task: GroupTask,
+    plan: OrderPlan | None,
+    omitted: float,
+    table: SourceTable | None,
+    error: float,
+    reason: StopReason,
+    clock: _Clock,
+) -> GroupReport:
+    depth = task.extinction * task.view.largest_optical_length
+    grid = task.view.grid
+    return GroupReport(
+        thinnest=float(depth[0]),
+        thickest=float(depth[-1]),
+        largest_order=1 if plan is None else plan.largest_order,
+        omitted_share=omitted,
+        points=0 if table is None else len(table.numbers),
+        spacing=0.0 if table is None else float((table.lattice.spacing / grid.voxel_size).max()),
+        paths=0 if table is None else int(table.paths.sum()),
+        error=error,
+        stop_reason=reason.value,
+        seconds=clock.seconds,
+    )
