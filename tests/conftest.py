@@ -5,6 +5,8 @@ from collections.abc import Iterator
 import pytest
 import torch
 
+from render.fused import torch_loops_only
+
 
 @pytest.fixture(scope="session", autouse=True)
 def one_thread() -> Iterator[None]:
@@ -13,3 +15,14 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture(params=["torch", "fused"])
+def loops(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Run a test with the torch loops and with their fused twins."""
+    if request.param == "fused":
+        pytest.importorskip("numba")
+        yield
+    else:
+        with torch_loops_only():
+            yield

@@ -12,6 +12,8 @@ from render.ray_march import compute_optical_length
 from tests.support.statistics import passes_z_test
 from tests.support.volumes import noise_box, ramp_box, random_rays, scaled, towards, uniform_box
 
+pytestmark = pytest.mark.usefixtures("loops")
+
 EAST = torch.tensor([[1.0, 0.0, 0.0]])
 
 

@@ -11,6 +11,8 @@ from render.ray_march import march_rays
 from tests.support.quadrature import box_single
 from tests.support.volumes import noise_box, random_rays, scaled, smooth_box, towards, uniform_box
 
+pytestmark = pytest.mark.usefixtures("loops")
+
 DEPTHS = torch.tensor([1e-6, 1e-3, 0.1, 1.0, 5.0, 30.0, 200.0, 1e4])
 LENGTH = 5.0
 UNLIT = 5e-9  # beyond optical depth 20 to the sun nothing is measured, and exp(-20) is 2e-9

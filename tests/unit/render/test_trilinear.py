@@ -5,7 +5,10 @@ import torch
 
 from render import trilinear
 from render.errors import ParameterError
+from render.fused import torch_loops_only
 from render.trilinear import LOOK_UP_CHUNK, TrilinearTable
+
+pytestmark = pytest.mark.usefixtures("loops")
 
 COUNTS = (4, 3, 5)
 
@@ -68,6 +71,11 @@ def test_axes_of_length_one_are_constant(counts: tuple[int, int, int], monkeypat
 
 
 def test_large_tables_are_gathered_to_the_same_values(monkeypatch: pytest.MonkeyPatch) -> None:
+    with torch_loops_only():  # the fused loops store no corners
+        compare_corner_tables(monkeypatch)
+
+
+def compare_corner_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     values = torch.rand(COUNTS, generator=torch.Generator().manual_seed(3))
     x, y, z = points(margin=1.0)
     stored = TrilinearTable(values)
