@@ -16,7 +16,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from precompute.scattering_orders import Effort, build_scattering_stack
+from precompute.error_budget import Effort
+from precompute.scattering_orders import build_scattering_stack
 from render.camera import PinholeCamera, direction_from_angles, frame_volume
 from render.density_grid import DensityGrid
 from render.path_tracer import trace_reference

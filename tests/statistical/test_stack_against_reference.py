@@ -14,7 +14,8 @@ import torch
 from scipy import stats
 from torch import Tensor
 
-from precompute.scattering_orders import Effort, build_scattering_stack
+from precompute.error_budget import Effort
+from precompute.scattering_orders import build_scattering_stack
 from render.camera import PinholeCamera, frame_volume
 from render.density_grid import DensityGrid
 from render.path_tracer import ReferenceImage, trace_reference

@@ -14,7 +14,7 @@ from cloudfit.quality import Quality
 from cloudfit.scene import Scene
 from cloudfit.stack import prepare_stack
 from cloudfit.sunlight import Sunlight
-from precompute.scattering_orders import Effort
+from precompute.error_budget import Effort
 from render.camera import frame_volume
 from render.density_grid import DensityGrid
 from render.scattering_stack import ScatteringStack

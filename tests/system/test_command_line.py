@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from cloudfit.cli import app
 from cloudfit.quality import QUALITIES, Quality
 from cloudfit.result import read_result
-from precompute.scattering_orders import Effort
+from precompute.error_budget import Effort
 from render.image_files import read_exr_layers, read_image, write_mask_png, write_png
 from render.procedural_cloud import build_cumulus
 from render.volume_files import write_volume
@@ -28,7 +28,7 @@ CAMERA = ["--camera-width", "32", "--camera-height", "24"]
 
 IN_A_PROCESS = """
 from cloudfit import quality
-from precompute.scattering_orders import Effort
+from precompute.error_budget import Effort
 quality.QUALITIES["draft"] = quality.Quality(1.0, Effort(3, 300, 2000, 4), Effort(3, 300, 2000, 4), 3, 4, 100.0)
 from cloudfit.cli import main
 main()

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from cloudfit.picture import CandidateRendering, render_picture
-from precompute.scattering_orders import Effort
+from precompute.error_budget import Effort
 from tests.support.small_scene import small_scene
 
 PARAMETERS = {"sunlight_intensity": 8.0, "asymmetry": 0.5, "extinction": 0.1, "albedo": 0.95, "ambient": 0.3}

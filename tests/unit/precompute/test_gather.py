@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy import integrate
 
-from precompute.gather import Bags, Lattice, gather_bags, lattice_over
+from precompute.gather import Bags, Lattice, gather_bags, lattice_over, stratify_rays
 from render.density_grid import DensityGrid
 from render.ray_march import compute_optical_length
 from tests.support.volumes import noise_box, random_rays, uniform_box
@@ -17,7 +17,7 @@ NORTH_RAY = (torch.tensor([[0.3, -9.0, 0.4]]), torch.tensor([[0.0, 1.0, 0.0]]))
 def all_bags(
     grid: DensityGrid, lattice: Lattice, rays: tuple[torch.Tensor, torch.Tensor], strata: int = 16
 ) -> list[Bags]:
-    return list(gather_bags(grid, lattice, *rays, EXTINCTION, strata))
+    return list(gather_bags(lattice, *rays, stratify_rays(grid, *rays, EXTINCTION, strata)))
 
 
 def integrate_source(bags: Bags, source: torch.Tensor) -> torch.Tensor:

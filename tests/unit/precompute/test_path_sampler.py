@@ -1,17 +1,20 @@
 """One set of paths for a whole table: every node agrees with paths drawn for it alone, and no weight explodes."""
 
+import dataclasses
 import math
 
 import pytest
 import torch
 
-from precompute.path_sampler import SUN_LOBE_PROBABILITY, TableNodes, VertexWeights, sample_paths
+from precompute.order_plan import OrderPlan, plan_orders
+from precompute.path_sampler import FORWARD_EXPONENT, Draw, TableNodes, VertexWeights, sample_paths
 from render.density_grid import DensityGrid
 from render.phase_functions import evaluate_phase_function
+from render.random_streams import counter_keys, stream_number
 from tests.support.statistics import passes_z_test, z_scores
 from tests.support.volumes import noise_box, scaled, towards, uniform_box
 
-ORDERS = 4
+PLAN = plan_orders(4)
 PATHS = 20_000
 SUN = towards(50.0, 25.0)
 AHEAD = torch.tensor([0.0, 1.0, 0.0])
@@ -30,12 +33,18 @@ def nodes_of(asymmetry: list[float] | None = None, extinction: list[float] | Non
 
 
 def draw(
-    nodes: TableNodes, paths: int = PATHS, seed: int = 0, grid: DensityGrid | None = None, factor: float = 1.0
+    nodes: TableNodes,
+    paths: int = PATHS,
+    seed: int = 0,
+    grid: DensityGrid | None = None,
+    factor: float = 1.0,
+    plan: OrderPlan = PLAN,
+    first: int = 0,
 ) -> list[VertexWeights]:
     volume = grid or noise_box()
     start = torch.tensor([0.4, -1.0, 0.3]).expand(paths, 3) * factor
-    generator = torch.Generator().manual_seed(seed)
-    return list(sample_paths(volume, start, AHEAD.expand(paths, 3), SUN, nodes, ORDERS, 0.5, generator))
+    keys = counter_keys(stream_number(seed), torch.arange(first, first + paths))
+    return list(sample_paths(volume, start, AHEAD.expand(paths, 3), SUN, nodes, plan, 0.5, keys))
 
 
 def moments(vertices: list[VertexWeights], paths: int = PATHS) -> tuple[torch.Tensor, torch.Tensor]:
@@ -83,10 +92,10 @@ def test_nodes_between_the_anchors_have_it_too() -> None:
 
 
 @pytest.mark.parametrize("column", [0, 2])
-def test_the_sun_lobe_changes_noise_but_no_mean(column: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sun_lobe_changes_noise_but_no_mean(column: int) -> None:
     mean, variance = moments(draw(nodes_of()))
-    monkeypatch.setattr("precompute.path_sampler.SUN_LOBE_PROBABILITY", 0.0)
-    plain, plain_variance = moments(draw(nodes_of(), seed=5))
+    without = dataclasses.replace(PLAN, sun_lobe=torch.zeros_like(PLAN.sun_lobe))
+    plain, plain_variance = moments(draw(nodes_of(), seed=5, plan=without))
     assert passes_z_test((mean - plain)[..., column], (variance + plain_variance)[..., column])
     assert float((variance[:, -1, column] / plain_variance[:, -1, column]).max()) < 1.0
 
@@ -94,6 +103,7 @@ def test_the_sun_lobe_changes_noise_but_no_mean(column: int, monkeypatch: pytest
 def largest_factors(vertices: list[VertexWeights]) -> tuple[torch.Tensor, torch.Tensor]:
     """Largest G over the phase function's peak `(order, asymmetry)`, largest S `(order, extinction)`."""
     peak = evaluate_phase_function(ASYMMETRY.sign(), ASYMMETRY)
+    vertices = [v for v in vertices if len(v.path)]
     return (
         torch.stack([(v.asymmetry_factor / peak).amax(0) for v in vertices]),
         torch.stack([v.extinction_factor.amax(0) for v in vertices]),
@@ -101,19 +111,60 @@ def largest_factors(vertices: list[VertexWeights]) -> tuple[torch.Tensor, torch.
 
 
 @pytest.mark.parametrize("factor", [0.1, 1.0, 30.0])
-def test_factors_are_bounded_by_the_number_of_anchors(factor: float) -> None:
-    # The mixture is at least 0.7 per scattering times each anchor's own product; the cosine to the sun adds one peak at most.
+@pytest.mark.parametrize("orders", [4, 12])
+def test_factors_are_bounded_by_the_anchors_odds(factor: float, orders: int) -> None:
+    # The mixture is at least each anchor's odds times its own product and the share of that in every scattering; the cosine to the
+    # sun adds one peak at most. S is divided by the probability of having come so far and of the connection.
     grid = DensityGrid.from_voxel_size(factor * noise_box().density, 1.0)
-    of_asymmetry, of_extinction = largest_factors(draw(nodes_of(), 5000, grid=grid))
-    scatterings = torch.arange(1, len(of_asymmetry) + 1)
-    bound = len(ASYMMETRY) / (1.0 - SUN_LOBE_PROBABILITY) ** scatterings
-    assert (of_asymmetry <= 1.0001 * bound[:, None]).all()
-    assert (of_extinction <= 1.0001 * len(EXTINCTION)).all()
+    plan = plan_orders(orders)
+    of_asymmetry, of_extinction = largest_factors(draw(nodes_of(), 5000, grid=grid, plan=plan))
+    own_share = (1.0 - plan.sun_lobe).cumprod(0)[: len(of_asymmetry)]
+    bound = 1.0 / (nodes_of().asymmetry_odds * own_share[:, None])
+    assert (of_asymmetry <= 1.0001 * bound).all()
+    traced = (plan.continuation.cumprod(0) * plan.connection)[: len(of_extinction), None]
+    assert (of_extinction * traced <= 1.0001 * len(EXTINCTION)).all()
+
+
+def test_forward_lobes_are_drawn_more_often() -> None:
+    odds = nodes_of().asymmetry_odds
+    assert float(odds.sum()) == pytest.approx(1.0)
+    assert float(odds[3] / odds[1]) == pytest.approx(((1.0 - 0.2) / (1.0 - 0.85)) ** FORWARD_EXPONENT, rel=1e-5)
+    assert odds.argmax() == 3
+    assert odds.argmin() == 1
+
+
+@pytest.mark.parametrize("column", [1, 2])
+def test_ending_paths_and_leaving_out_connections_change_noise_but_no_mean(column: int) -> None:
+    plan = plan_orders(8)
+    ones = torch.ones_like(plan.continuation)
+    whole = dataclasses.replace(plan, continuation=ones, connection=ones)
+    mean, variance = moments(draw(nodes_of(), plan=plan))
+    plain, plain_variance = moments(draw(nodes_of(), seed=5, plan=whole))
+    assert torch.equal(plan.connection[[0, -1]], torch.tensor([1.0, 0.3], dtype=torch.float64))
+    assert passes_z_test((mean - plain)[..., column], (variance + plain_variance)[..., column])
+    # Without the division by the probabilities the high orders would be several times too dark.
+    reached = (plan.continuation.cumprod(0) * plan.connection)[:, None, None]
+    assert not passes_z_test((reached * mean - plain)[..., column], (variance + plain_variance)[..., column])
+
+
+def test_a_path_does_not_depend_on_those_beside_it() -> None:
+    together, alone = draw(nodes_of(), 300), draw(nodes_of(), 100, first=200)
+    for many, few in zip(together, alone, strict=False):
+        kept = many.path >= 200
+        assert torch.equal(many.path[kept] - 200, few.path)
+        torch.testing.assert_close(many.asymmetry_factor[kept], few.asymmetry_factor, rtol=1e-5, atol=0.0)
+        torch.testing.assert_close(many.extinction_factor[kept], few.extinction_factor, rtol=1e-5, atol=0.0)
+    assert not torch.equal(draw(nodes_of(), 100, first=100)[0].path, alone[0].path)
+
+
+def test_no_random_number_is_used_twice() -> None:
+    dimensions = [draw.of_order(order) for order in range(2, 20) for draw in Draw]
+    assert dimensions == list(range(2, 2 + len(dimensions)))
 
 
 def test_one_anchor_alone_is_not_bounded() -> None:
     of_asymmetry, of_extinction = largest_factors(draw(nodes_of([-0.3], [3.0]), 5000))
-    assert float(of_asymmetry.max()) > len(ASYMMETRY) / 0.7**3
+    assert float(of_asymmetry.max()) > float(1.0 / nodes_of().asymmetry_odds.min()) / 0.7**3
     assert float(of_extinction.max()) > len(EXTINCTION)
 
 
@@ -140,7 +191,7 @@ def test_empty_volumes_have_no_second_vertex() -> None:
     assert draw(nodes_of(), 100, grid=DensityGrid.from_voxel_size(torch.zeros(6, 6, 6), 1.0)) == []
 
 
-def test_a_generator_gives_the_same_paths_again() -> None:
+def test_a_seed_gives_the_same_paths_again() -> None:
     first, again, other = (draw(nodes_of(), 200, seed) for seed in (1, 1, 2))
     assert all(torch.equal(a.asymmetry_factor, b.asymmetry_factor) for a, b in zip(first, again, strict=True))
     assert not torch.equal(first[0].path, other[0].path)
