@@ -206,6 +206,11 @@ def add_jobs_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--jobs", type=int, default=available_cores(), help="processes of one thread each")
 
 
+def add_output_argument(parser: argparse.ArgumentParser, what: str) -> None:
+    """Option --out."""
+    parser.add_argument("--out", type=Path, help=what)
+
+
 def scene_of(arguments: argparse.Namespace, width: int, height: int) -> tuple[Scene, str]:
     """Scene of the benchmarks with a camera of the given size, and the name of its volume; quick runs take a small cumulus."""
     path: Path | None = arguments.volume

@@ -1,8 +1,6 @@
 """Build the scattering stack: optical length, single scattering, and the orders from two upwards on the whole table.
 
-The extinction nodes are treated in groups of similar optical depth, see `source_group`. Where a thin group has fewer images than a thick
-one, the missing ones continue those of the thicker neighbour as its thin limit, f_k ~ s^k: they are too faint to matter, but their
-logarithms must exist to be interpolated.
+The extinction nodes are treated in groups of similar optical depth, see `source_group`.
 """
 
 from collections.abc import Callable
@@ -103,25 +101,21 @@ def _assemble(
     view: View, asymmetry: Tensor, extinction: Tensor, effort: Effort, parts: list[GroupImages]
 ) -> ScatteringTables:
     """Tables of all groups."""
-    largest = max((part.report.largest_order for part in parts), default=effort.orders)
-    plan = plan_orders(max(largest, 2))
+    plan = plan_orders(effort.orders)
     knots, nodes, pixels = len(plan.knots), (len(asymmetry), len(extinction)), len(view.pixel)
     single, multiple = torch.zeros(len(extinction), pixels), torch.zeros(knots, *nodes, pixels)
     standard_error, share = torch.zeros(knots, *nodes), torch.ones(knots, *nodes)
     image_error, ratio, last = (torch.zeros(nodes) for _ in range(3))
-    end = len(extinction)
-    for part in reversed(parts):
-        group, known = slice(end - part.single.shape[0], end), len(part.multiple)
+    start = 0
+    for part in parts:
+        group, traced = slice(start, start + len(part.single)), len(part.standard_error)
         single[group] = part.single
-        multiple[:known, :, group] = part.multiple
-        standard_error[:known, :, group], share[:known, :, group] = part.standard_error, part.effective_share
+        multiple[:, :, group] = part.multiple
+        standard_error[:traced, :, group], share[:traced, :, group] = part.standard_error, part.effective_share
         image_error[:, group] = part.image_error.square().mean(0).sqrt()
-        if known < knots and end < len(extinction):
-            _continue_thinner(multiple, extinction, plan.knots, group, known)
-        elif effort.tail and effort.orders > SEPARATE_ORDERS and 1 < known == knots:
-            tail = close_tail(plan, part.multiple.double().mean(-1))
-            ratio[:, group], last[:, group] = (values.to(torch.float32) for values in tail)
-        end = group.start
+        start = group.stop
+    if effort.tail and effort.orders > SEPARATE_ORDERS and pixels:
+        ratio, last = (values.to(torch.float32) for values in close_tail(plan, multiple.double().mean(-1)))
     return ScatteringTables(
         width=view.camera.width,
         height=view.camera.height,
@@ -140,11 +134,3 @@ def _assemble(
         effective_share=share,
         groups=tuple(asdict(part.report) for part in parts),
     )
-
-
-def _continue_thinner(multiple: Tensor, extinction: Tensor, knots: tuple[int, ...], group: slice, known: int) -> None:
-    """Fill the images that a thin group did not trace with the thin limit of the node above it, in place."""
-    for number in range(known, len(knots)):
-        for node in range(group.stop - 1, group.start - 1, -1):
-            thinner = float(extinction[node] / extinction[node + 1]) ** knots[number]
-            multiple[number, :, node] = thinner * multiple[number, :, node + 1]

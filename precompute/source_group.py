@@ -62,10 +62,10 @@ class GroupImages:
 
     Args:
         single: `(extinction, pixel)`.
-        multiple: `(knot, asymmetry, extinction, pixel)`; no knot where single scattering is enough.
-        standard_error: relative RMS error of each image `(knot, asymmetry, extinction)`.
+        multiple: `(knot, asymmetry, extinction, pixel)`.
+        standard_error: relative RMS error of each image that was traced `(knot, asymmetry, extinction)`.
         image_error: of the composed image `(albedo, asymmetry, extinction)`.
-        effective_share: effective sample size over paths `(knot, asymmetry, extinction)`.
+        effective_share: effective sample size over paths of each image that was traced `(knot, asymmetry, extinction)`.
         report: what was done.
     """
 
@@ -148,11 +148,13 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     report(0.1)
     strata = stratify_rays(view.grid, view.origin, view.direction, task.extinction, effort.strata)
     clock.lap("camera rays")
-    plan, omitted = _choose_orders(task, strata, single)
-    clock.lap("orders")
-    if plan is None:
+    pilot = _fly_pilot(task, strata, single)
+    clock.lap("pilot")
+    phase = evaluate_phase_function(view.direction @ view.sun, task.asymmetry[:, None])
+    if pilot.enough == 0:
         report(1.0)
-        return _single_only(task, single, omitted, clock)
+        return _single_only(task, single, pilot.complete(torch.empty(0), phase[:, None] * single), pilot, clock)
+    plan = plan_orders(pilot.plan.knots[pilot.enough - 1])
     lattice, importance = _place_points(view, strata, effort.points)
     clock.lap("source points")
     table = task.source_table(lattice, plan, 1)
@@ -169,11 +171,11 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     image_error = torch.stack([one.of_image for one in errors], dim=2)
     return GroupImages(
         single,
-        multiple,
+        pilot.complete(multiple, phase[:, None] * single),
         torch.stack([one.of_knots for one in errors], dim=2).to(torch.float32),
         image_error.to(torch.float32),
         table.effective_share,
-        _describe(task, plan, omitted, table, box_error(image_error), reason, clock),
+        _describe(task, plan, pilot.omitted, table, box_error(image_error), reason, clock),
     )
 
 
@@ -230,36 +232,64 @@ def _gather(
     return images, errors
 
 
-def _choose_orders(task: GroupTask, strata: Strata, single: Tensor) -> tuple[OrderPlan | None, float]:
-    """Orders that the tolerance needs by the decay of their energy in a pilot, None if single scattering is enough.
+@dataclass(frozen=True, eq=False)
+class Pilot:
+    """How the orders decay, from few paths.
 
-    Returns:
-        The plan, and the share of the image's mean that the orders left out would have at the node where it is largest.
+    Args:
+        plan: all orders that may be traced.
+        enough: number of images that the tolerance needs; zero where single scattering is enough.
+        omitted: share of the mean image that the others have, at the node where it is largest.
+        mean: of every image over the pixels `(knot, asymmetry, extinction)`; none without a tolerance.
     """
-    full = plan_orders(task.effort.orders)
+
+    plan: OrderPlan
+    enough: int
+    omitted: float
+    mean: Tensor | None
+
+    def complete(self, multiple: Tensor, shape: Tensor) -> Tensor:
+        """Images of all knots: those that were not traced have the pilot's mean and the shape of the last one that was.
+
+        They are too faint to matter by themselves, but without them the interpolation between nodes would meet a cliff.
+
+        Args:
+            multiple: images that were traced `(knot, asymmetry, extinction, pixel)`.
+            shape: image to use where none was `(asymmetry, extinction, pixel)`.
+        """
+        if self.mean is None or len(multiple) == len(self.mean):
+            return multiple
+        known = len(multiple)
+        last = multiple[-1] if known else shape
+        relative = last / last.mean(-1, keepdim=True).clamp(min=1e-30)
+        return torch.cat([multiple, self.mean[known:, ..., None].to(torch.float32) * relative])
+
+
+def _fly_pilot(task: GroupTask, strata: Strata, single: Tensor) -> Pilot:
+    """Find out which orders the tolerance needs."""
+    plan = plan_orders(task.effort.orders)
     if task.effort.tolerance is None:
-        return full, 0.0
+        return Pilot(plan, len(plan.knots), 0.0, None)
     rays = probe_rays(len(task.view.pixel))
     view, part = task.view.part(rays), strata.part(rays)
     lattice, importance = _place_points(view, part, PILOT_POINTS)
-    table = task.source_table(lattice, full, 0)
+    table = task.source_table(lattice, plan, 0)
     table.add_pass(allocate_paths(importance, PILOT_PATHS))
     entry = torch.zeros(lattice.size, dtype=torch.int32)
     entry[table.numbers] = torch.arange(len(table.numbers), dtype=torch.int32)
-    powers = task.albedo.max().double() ** torch.tensor(full.knots)
-    phase = evaluate_phase_function(view.direction @ view.sun, task.asymmetry[:, None])
-    worst = torch.zeros(len(full.knots) + 1, dtype=torch.float64)
+    mean = torch.zeros(len(plan.knots), len(task.asymmetry), len(task.extinction), dtype=torch.float64)
     for bags in gather_bags(lattice, view.origin, view.direction, part):
         columns = table.source[bags.extinction].mean(1).flatten(1)
         rows = embedding_bag(entry[bags.numbers], columns, per_sample_weights=bags.weights, mode="sum")
-        energy = rows.double().mean(0).unflatten(0, (len(full.knots), -1)) * powers[:, None]
-        lit = (phase[:, bags.rays] * single[bags.extinction, rays[bags.rays]]).double().mean(1)
-        beyond = torch.cat([energy.flip(0).cumsum(0).flip(0), torch.zeros_like(lit)[None]])
-        worst = worst.maximum((beyond / (lit + energy.sum(0)).clamp(min=1e-300)).amax(1))
+        mean[:, :, bags.extinction] += rows.double().sum(0).unflatten(0, (len(plan.knots), -1)) / len(rays)
+    powers = task.albedo.max().double() ** torch.tensor(plan.knots)
+    energy = powers[:, None, None] * mean
+    phase = evaluate_phase_function(view.direction @ view.sun, task.asymmetry[:, None]).double()
+    lit = phase @ single[:, rays].double().T / len(rays)
+    beyond = torch.cat([energy.flip(0).cumsum(0).flip(0), torch.zeros_like(lit)[None]])
+    worst = (beyond / (lit + energy.sum(0)).clamp(min=1e-300)).flatten(1).amax(1)
     enough = int((worst <= OMITTED_SHARE * task.effort.tolerance).nonzero()[0])
-    if enough == len(full.knots):
-        return full, 0.0
-    return (plan_orders(full.knots[enough - 1]) if enough else None), float(worst[enough])
+    return Pilot(plan, enough, float(worst[enough]), mean)
 
 
 def _place_points(view: View, strata: Strata, points: int) -> tuple[Lattice, Tensor]:
@@ -279,14 +309,12 @@ def _place_points(view: View, strata: Strata, points: int) -> tuple[Lattice, Ten
     return lattice, importance
 
 
-def _single_only(task: GroupTask, single: Tensor, omitted: float, clock: _Clock) -> GroupImages:
-    """A group whose multiple scattering is left out."""
-    asymmetry, extinction = len(task.asymmetry), len(task.extinction)
-    nothing = torch.zeros(0, asymmetry, extinction)
-    error = torch.full((len(task.albedo), asymmetry, extinction), omitted)
-    report = _describe(task, None, omitted, None, omitted, StopReason.SINGLE, clock)
-    multiple = torch.zeros(0, asymmetry, extinction, len(task.view.pixel))
-    return GroupImages(single, multiple, nothing, error, nothing, report)
+def _single_only(task: GroupTask, single: Tensor, multiple: Tensor, pilot: Pilot, clock: _Clock) -> GroupImages:
+    """A group whose multiple scattering is not traced."""
+    nodes = (len(task.asymmetry), len(task.extinction))
+    error = torch.full((len(task.albedo), *nodes), pilot.omitted)
+    report = _describe(task, None, pilot.omitted, None, pilot.omitted, StopReason.SINGLE, clock)
+    return GroupImages(single, multiple, torch.zeros(0, *nodes), error, torch.zeros(0, *nodes), report)
 
 
 def _describe(

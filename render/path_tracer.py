@@ -70,6 +70,7 @@ def trace_reference(
     orders: int,
     samples: int,
     seed: int = 0,
+    pixels: Tensor | None = None,
 ) -> ReferenceImage:
     """Path trace a cloud lit by the sun.
 
@@ -83,6 +84,7 @@ def trace_reference(
         orders: largest number of scatterings.
         samples: paths per pixel, at least two.
         seed: of the random streams.
+        pixels: numbers of those to trace `(pixel,)`, all by default; the others stay as if they saw no cloud.
 
     Returns:
         Means and variances for a sun of unit intensity.
@@ -98,6 +100,8 @@ def trace_reference(
     origin, direction = camera.rays()
     near, far = grid.intersect(origin, direction)
     seen = torch.nonzero(far > near).flatten() if grid.maximum * extinction > 0.0 else torch.empty(0, dtype=torch.long)
+    if pixels is not None:
+        seen = pixels[torch.isin(pixels, seen)]
     sums = _Sums(len(origin), orders)
     medium = _Medium(grid, extinction, unit_direction(sun_direction))
     paths = len(seen) * samples

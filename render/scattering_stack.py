@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from render.errors import ParameterError
-from render.interpolation import cubic_weights
+from render.interpolation import cubic_weights, interpolate_limited, limited_slopes
 from render.phase_functions import evaluate_phase_function
 
 SMALLEST_SHARE = 1e-7
@@ -108,6 +108,7 @@ class ScatteringStack(nn.Module):
     cos_sun: Tensor
     log_single: Tensor
     log_mean: Tensor
+    log_mean_slopes: Tensor
     relative: Tensor
     usable: Tensor
 
@@ -120,7 +121,9 @@ class ScatteringStack(nn.Module):
         self.register_buffer("log_single", _safe_log(tables.single))
         mean = tables.multiple.double().sum(-1) / max(len(tables.pixel), 1)
         mean = mean.clamp(min=SMALLEST_MEAN).to(tables.multiple.dtype)
-        self.register_buffer("log_mean", mean.log().flatten(1))
+        log_mean = mean.log()
+        self.register_buffer("log_mean", log_mean.flatten(0, 1))
+        self.register_buffer("log_mean_slopes", limited_slopes(tables.extinction.log(), log_mean).flatten(0, 1))
         self.register_buffer("relative", (tables.multiple / mean[..., None]).flatten(1, 2))
         self.register_buffer("usable", tables.image_error <= largest_image_error)
 
@@ -157,24 +160,31 @@ class ScatteringStack(nn.Module):
         node_weights = (of_asymmetry[:, :, None] * of_extinction[:, None, :]).flatten(1)
         phase = evaluate_phase_function(self.cos_sun.to(asymmetry), asymmetry[:, None])
         single = albedo[:, None] * thinner * phase * (of_extinction @ self.log_single.to(albedo)).exp()
-        multiple = self._compose_multiple(albedo, thinner[:, 0], node_weights)
+        mean = self._mean_of_images(of_asymmetry, extinction.clamp(min=float(nodes[0])).log())
+        mean = mean * self._albedo_powers(albedo, thinner[:, 0], node_weights)
+        multiple = self._compose_multiple(mean, node_weights)
         depth = extinction[:, None] * self.optical_length.to(albedo)
         return CloudLayers(single, multiple, torch.exp(-depth), -torch.expm1(-depth))
 
-    def _compose_multiple(self, albedo: Tensor, thinner: Tensor, node_weights: Tensor) -> Tensor:
-        """Sum of the images of the orders from two upwards `(population, pixel)`."""
-        mean = (node_weights @ self.log_mean.to(albedo).T).exp() * self._albedo_powers(albedo, thinner, node_weights)
+    def _mean_of_images(self, of_asymmetry: Tensor, log_extinction: Tensor) -> Tensor:
+        """Means over the pixels `(population, knot)`; high orders fall so steeply towards thin clouds that a cubic would overshoot."""
+        log_mean, slopes = self.log_mean.to(log_extinction), self.log_mean_slopes.to(log_extinction)
+        columns = interpolate_limited(self.tables.extinction.log(), log_mean, slopes, log_extinction)
+        return torch.einsum("pkg,pg->pk", columns.unflatten(1, (len(self.relative), -1)), of_asymmetry).exp()
+
+    def _compose_multiple(self, mean: Tensor, node_weights: Tensor) -> Tensor:
+        """Sum of the images with given means `(population, pixel)`."""
         images, nodes = range(len(self.relative)), torch.arange(node_weights.shape[1])
         if not mean.requires_grad:
             # A candidate lies among 16 nodes, and its high orders may be nothing: most of the tables need not be read.
             seen = mean > SMALLEST_PART * mean.sum(1, keepdim=True)
             images, nodes = torch.nonzero(seen.any(0)).flatten().tolist(), torch.nonzero(node_weights.any(0)).flatten()
         weights = node_weights.index_select(1, nodes)
-        multiple = albedo.new_zeros(len(albedo), self.relative.shape[2])
+        multiple = mean.new_zeros(len(mean), self.relative.shape[2])
         for number in images:
             relative = self.relative[number] if len(nodes) == self.relative.shape[1] else self.relative[number, nodes]
             # Cubic weights may be negative: next to a black pixel the interpolated image can fall a little below zero.
-            multiple = multiple + mean[:, number, None] * (weights @ relative.to(albedo)).clamp(min=0.0)
+            multiple = multiple + mean[:, number, None] * (weights @ relative.to(weights)).clamp(min=0.0)
         return multiple
 
     def _albedo_powers(self, albedo: Tensor, thinner: Tensor, node_weights: Tensor) -> Tensor:

@@ -1,0 +1,256 @@
+"""Is a stack as accurate as its tolerance asks for, and does it know how accurate it is?
+
+Stacks are built for random views of what a fit may search: asymmetry 0..0.9, largest optical depth 0.05..60, albedo 0.8..1. At random
+parameter sets between the nodes of the table, images composed from the stack are compared with the reference path tracer on some of the
+pixels, in which each is traced for long. The reference's own noise is subtracted in quadrature:
+
+    error^2 = [ mean (stack - reference)^2 - mean variance of the reference ] / mean reference^2
+"""
+
+import argparse
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from benchmarks.common import (
+    SHARED_VOLUME,
+    Outcome,
+    add_output_argument,
+    make_table,
+    peak_memory_mb,
+    spread,
+    stopwatch,
+    tell_progress,
+)
+from cloudfit.quality import QUALITIES
+from cloudfit.scene_record import load_volume
+from precompute.scattering_orders import build_scattering_stack
+from precompute.store import table_key
+from render.camera import Camera, direction_from_angles, frame_volume
+from render.density_grid import DensityGrid
+from render.interpolation import cubic_weights
+from render.path_tracer import trace_reference
+from render.procedural_cloud import build_cumulus
+from render.ray_march import compute_optical_length
+from render.scattering_stack import ScatteringStack
+from render.units import radians_from_degrees
+
+SUNS = {"side": (90.0, 25.0), "back": (10.0, 25.0)}
+"""Azimuth and elevation [degrees]; the camera looks north."""
+
+ASYMMETRY, DEPTH, ALBEDO = (0.0, 0.9), (0.05, 60.0), (0.8, 1.0)
+
+REFERENCE_ORDERS = 256
+
+MET, SETS = 11, 12
+"""So many of so many random sets shall meet the tolerance."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One volume under one sun."""
+
+    volume: str
+    sun: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One parameter set.
+
+    Args:
+        asymmetry, optical_depth, albedo: of the set.
+        error: relative RMS over the pixels, the reference's noise subtracted in quadrature.
+        estimated: by the stack, interpolated between its nodes.
+        bias: of the mean over the pixels, relative.
+        reference_noise: relative RMS.
+    """
+
+    asymmetry: float
+    optical_depth: float
+    albedo: float
+    error: float
+    estimated: float
+    bias: float
+    reference_noise: float
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of this benchmark."""
+    parser.add_argument("--quality", nargs="+", choices=QUALITIES, default=["draft", "standard"])
+    parser.add_argument("--volumes", nargs="+", choices=VOLUMES, default=list(VOLUMES))
+    parser.add_argument("--suns", nargs="+", choices=SUNS, default=list(SUNS))
+    parser.add_argument("--sets", type=int, default=SETS, help="random parameter sets of each case")
+    parser.add_argument("--pixels", type=int, default=400, help="that the reference traces")
+    parser.add_argument("--paths", type=int, default=2_000_000, help="of each reference")
+    add_output_argument(parser, "folder of the reference images, which are kept and found again")
+
+
+def _wdas() -> DensityGrid:
+    return load_volume(SHARED_VOLUME)
+
+
+VOLUMES = {"wdas": _wdas, "cumulus_128": lambda: build_cumulus(128), "cumulus_200": lambda: build_cumulus(200)}
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Compare."""
+    if arguments.quick:
+        arguments.volumes, arguments.suns, arguments.quality = ["quick"], ["side"], ["draft"]
+        arguments.sets, arguments.pixels, arguments.paths = 2, 20, 2000
+    rows, values = [], []
+    for case in (Case(volume, sun) for volume in arguments.volumes for sun in arguments.suns):
+        scene = _Scene(case, arguments)
+        for name in arguments.quality:
+            found = scene.compare(name)
+            values.append(found)
+            rows.append(_row(case, name, found))
+            tell_progress(" ".join(str(cell) for cell in rows[-1]))
+    columns = (
+        "volume",
+        "sun",
+        "quality",
+        "seconds",
+        "MB",
+        f"errors [{', '.join(QUANTILES)}]",
+        "within tolerance",
+        "estimate / error",
+    )
+    notes = (
+        f"reference: {arguments.paths} paths over {arguments.pixels} pixels to order {REFERENCE_ORDERS}",
+        "errors are relative RMS errors over pixels; an error below the reference's noise / 4 cannot be told from it",
+    )
+    return Outcome({"cases": values}, (make_table("Error of stacks", columns, rows),), notes)
+
+
+QUANTILES = ("median", "largest")
+
+
+class _Scene:
+    """A volume, its views, and the references of its parameter sets."""
+
+    def __init__(self, case: Case, arguments: argparse.Namespace) -> None:
+        self.case, self.arguments = case, arguments
+        self.grid = build_cumulus(24) if case.volume == "quick" else VOLUMES[case.volume]()
+        width, height = (16, 12) if arguments.quick else (320, 240)
+        self.camera: Camera = frame_volume(self.grid, width=width, height=height)
+        azimuth, elevation = (radians_from_degrees(angle) for angle in SUNS[case.sun])
+        self.sun = torch.tensor(direction_from_angles(azimuth, elevation))
+        self.largest = float(compute_optical_length(self.grid, *self.camera.rays()).max())
+
+    def compare(self, quality: str) -> dict[str, object]:
+        """Build a stack and compare it."""
+        chosen = QUALITIES[quality]
+        thin, thick = DEPTH
+        extinction = torch.logspace(0.0, 1.0, chosen.extinction_nodes, base=thick / thin) * (thin / self.largest)
+        asymmetry = torch.linspace(*ASYMMETRY, chosen.asymmetry_nodes)
+        with stopwatch() as seconds:
+            tables = build_scattering_stack(
+                self.grid, self.camera, self.sun, asymmetry, extinction, chosen.table_effort, 1
+            )
+        stack = ScatteringStack(tables)
+        generator = torch.Generator().manual_seed(7)
+        sets = torch.rand(self.arguments.sets, 3, generator=generator, dtype=torch.float64)
+        tolerance = chosen.table_effort.tolerance or math.inf
+        comparisons = [self._compare_set(stack, values.tolist(), number) for number, values in enumerate(sets)]
+        return {
+            "case": asdict(self.case),
+            "quality": quality,
+            "tolerance": tolerance,
+            "seconds": seconds[0],
+            "peak_mb": peak_memory_mb(),
+            "groups": tables.groups,
+            "sets": [asdict(one) for one in comparisons],
+        }
+
+    def _compare_set(self, stack: ScatteringStack, uniform: list[float], number: int) -> Comparison:
+        asymmetry = ASYMMETRY[0] + (ASYMMETRY[1] - ASYMMETRY[0]) * uniform[0]
+        depth = DEPTH[0] * (DEPTH[1] / DEPTH[0]) ** uniform[1]
+        albedo = ALBEDO[0] + (ALBEDO[1] - ALBEDO[0]) * uniform[2]
+        parameters = [torch.tensor([value]) for value in (asymmetry, depth / self.largest, albedo)]
+        with torch.no_grad():
+            layers = stack(*parameters)
+        pixels, radiance, variance = self._reference(asymmetry, depth, albedo, number)
+        place = torch.searchsorted(stack.pixel, pixels)
+        image = (layers.single + layers.multiple)[0, place].double()
+        power, difference = radiance.square().mean(), image - radiance
+        square = (difference.square().mean() - variance.mean()) / power
+        return Comparison(
+            asymmetry,
+            depth,
+            albedo,
+            float(square.clamp(min=0.0).sqrt()),
+            _estimate(stack, *parameters[:2]),
+            float(difference.mean() / radiance.mean()),
+            float((variance.mean() / power).sqrt()),
+        )
+
+    def _reference(self, asymmetry: float, depth: float, albedo: float, number: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Pixels, their radiance and its variance, traced now or found in the folder."""
+        optical_length = compute_optical_length(self.grid, *self.camera.rays())
+        seen = torch.nonzero(optical_length > 0).flatten()
+        shuffled = torch.randperm(len(seen), generator=torch.Generator().manual_seed(11))
+        pixels = seen[shuffled[: self.arguments.pixels]].sort().values
+        samples = max(2, self.arguments.paths // len(pixels))
+        values = (asymmetry, depth, albedo, samples, number)
+        question = {
+            "grid": self.grid.density,
+            "camera": self.camera,
+            "sun": self.sun,
+            "pixels": pixels,
+            "values": values,
+        }
+        file: Path | None = None
+        if self.arguments.out is not None:
+            file = self.arguments.out / f"reference-{table_key(question)[:16]}.npz"
+            if file.exists():
+                kept = np.load(file)
+                return pixels, torch.from_numpy(kept["radiance"]), torch.from_numpy(kept["variance"])
+        image = trace_reference(
+            self.grid,
+            self.camera,
+            self.sun,
+            extinction=depth / self.largest,
+            asymmetry=asymmetry,
+            albedo=albedo,
+            orders=REFERENCE_ORDERS,
+            samples=samples,
+            seed=100 + number,
+            pixels=pixels,
+        )
+        radiance, variance = image.radiance[pixels].double(), image.radiance_variance[pixels].double()
+        if file is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            np.savez(file, radiance=radiance.numpy(), variance=variance.numpy())
+        return pixels, radiance, variance
+
+
+def _estimate(stack: ScatteringStack, asymmetry: Tensor, extinction: Tensor) -> float:
+    """Error that the stack states, interpolated between nodes."""
+    tables = stack.tables
+    rows = cubic_weights(tables.asymmetry, asymmetry)
+    columns = cubic_weights(tables.extinction.log(), extinction.log())
+    return float((rows[:, :, None] * columns[:, None, :] * tables.image_error).sum().clamp(min=0.0))
+
+
+def _row(case: Case, quality: str, found: dict[str, object]) -> tuple[object, ...]:
+    sets: list[dict[str, float]] = found["sets"]  # type: ignore[assignment]
+    errors = [one["error"] for one in sets]
+    tolerance = float(found["tolerance"])  # type: ignore[arg-type]
+    met = sum(error <= tolerance for error in errors)
+    ratios = spread(one["estimated"] / max(one["error"], 1e-6) for one in sets)
+    summary = spread(errors)
+    return (
+        case.volume,
+        case.sun,
+        f"{quality} ({tolerance:.1%})",
+        found["seconds"],
+        found["peak_mb"],
+        f"{summary['median']:.2%}, {summary['largest']:.2%}",
+        f"{met} of {len(sets)} (accepted {MET} of {SETS})",
+        f"{ratios['median']:.2f} [{ratios['smallest']:.2f}, {ratios['largest']:.2f}]",
+    )
