@@ -10,9 +10,7 @@ pixels, in which each is traced for long. The reference's own noise is subtracte
 import argparse
 import math
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -26,25 +24,26 @@ from benchmarks.common import (
     stopwatch,
     tell_progress,
 )
+from benchmarks.parameter_sets import (
+    REFERENCE_ORDERS,
+    ParameterSet,
+    TracedPixels,
+    draw_sets,
+    largest_optical_length,
+    table_nodes,
+)
 from cloudfit.quality import QUALITIES
 from cloudfit.scene_record import load_volume
 from precompute.scattering_orders import build_scattering_stack
-from precompute.store import table_key
 from render.camera import Camera, direction_from_angles, frame_volume
 from render.density_grid import DensityGrid
 from render.interpolation import cubic_weights
-from render.path_tracer import trace_reference
 from render.procedural_cloud import build_cumulus
-from render.ray_march import compute_optical_length
 from render.scattering_stack import ScatteringStack
 from render.units import radians_from_degrees
 
 SUNS = {"side": (90.0, 25.0), "back": (10.0, 25.0)}
 """Azimuth and elevation [degrees]; the camera looks north."""
-
-ASYMMETRY, DEPTH, ALBEDO = (0.0, 0.9), (0.05, 60.0), (0.8, 1.0)
-
-REFERENCE_ORDERS = 256
 
 MET, SETS = 11, 12
 """So many of so many random sets shall meet the tolerance."""
@@ -140,23 +139,22 @@ class _Scene:
         self.camera: Camera = frame_volume(self.grid, width=width, height=height)
         azimuth, elevation = (radians_from_degrees(angle) for angle in SUNS[case.sun])
         self.sun = torch.tensor(direction_from_angles(azimuth, elevation))
-        self.largest = float(compute_optical_length(self.grid, *self.camera.rays()).max())
+        self.largest = largest_optical_length(self.grid, self.camera)
+        self.traced = TracedPixels(self.grid, self.camera, self.sun, arguments.pixels, arguments.paths, arguments.out)
 
     def compare(self, quality: str) -> dict[str, object]:
         """Build a stack and compare it."""
         chosen = QUALITIES[quality]
-        thin, thick = DEPTH
-        extinction = torch.logspace(0.0, 1.0, chosen.extinction_nodes, base=thick / thin) * (thin / self.largest)
-        asymmetry = torch.linspace(*ASYMMETRY, chosen.asymmetry_nodes)
+        asymmetry, extinction = table_nodes(chosen, self.largest)
         with stopwatch() as seconds:
             tables = build_scattering_stack(
                 self.grid, self.camera, self.sun, asymmetry, extinction, chosen.table_effort, 1
             )
         stack = ScatteringStack(tables)
-        generator = torch.Generator().manual_seed(7)
-        sets = torch.rand(self.arguments.sets, 3, generator=generator, dtype=torch.float64)
         tolerance = chosen.table_effort.tolerance or math.inf
-        comparisons = [self._compare_set(stack, values.tolist(), number) for number, values in enumerate(sets)]
+        comparisons = [
+            self._compare_set(stack, one, number) for number, one in enumerate(draw_sets(self.arguments.sets))
+        ]
         return {
             "case": asdict(self.case),
             "quality": quality,
@@ -167,69 +165,21 @@ class _Scene:
             "sets": [asdict(one) for one in comparisons],
         }
 
-    def _compare_set(self, stack: ScatteringStack, uniform: list[float], number: int) -> Comparison:
-        asymmetry = ASYMMETRY[0] + (ASYMMETRY[1] - ASYMMETRY[0]) * uniform[0]
-        depth = DEPTH[0] * (DEPTH[1] / DEPTH[0]) ** uniform[1]
-        albedo = ALBEDO[0] + (ALBEDO[1] - ALBEDO[0]) * uniform[2]
-        parameters = [torch.tensor([value]) for value in (asymmetry, depth / self.largest, albedo)]
-        with torch.no_grad():
-            layers = stack(*parameters)
-        pixels, radiance, variance = self._reference(asymmetry, depth, albedo, number)
-        place = torch.searchsorted(stack.pixel, pixels)
-        image = (layers.single + layers.multiple)[0, place].double()
-        power, difference = radiance.square().mean(), image - radiance
-        square = (difference.square().mean() - variance.mean()) / power
+    def _compare_set(self, stack: ScatteringStack, one: ParameterSet, number: int) -> Comparison:
+        found = self.traced.compare(stack, one, number)
+        node = torch.tensor([one.asymmetry]), torch.tensor([one.optical_depth / self.largest])
         return Comparison(
-            asymmetry,
-            depth,
-            albedo,
-            float(square.clamp(min=0.0).sqrt()),
-            _estimate(stack, *parameters[:2]),
-            float(difference.mean() / radiance.mean()),
-            float((variance.mean() / power).sqrt()),
+            one.asymmetry,
+            one.optical_depth,
+            one.albedo,
+            found.error,
+            estimated_error(stack, *node),
+            found.bias,
+            found.noise,
         )
 
-    def _reference(self, asymmetry: float, depth: float, albedo: float, number: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Pixels, their radiance and its variance, traced now or found in the folder."""
-        optical_length = compute_optical_length(self.grid, *self.camera.rays())
-        seen = torch.nonzero(optical_length > 0).flatten()
-        shuffled = torch.randperm(len(seen), generator=torch.Generator().manual_seed(11))
-        pixels = seen[shuffled[: self.arguments.pixels]].sort().values
-        samples = max(2, self.arguments.paths // len(pixels))
-        values = (asymmetry, depth, albedo, samples, number)
-        question = {
-            "grid": self.grid.density,
-            "camera": self.camera,
-            "sun": self.sun,
-            "pixels": pixels,
-            "values": values,
-        }
-        file: Path | None = None
-        if self.arguments.out is not None:
-            file = self.arguments.out / f"reference-{table_key(question)[:16]}.npz"
-            if file.exists():
-                kept = np.load(file)
-                return pixels, torch.from_numpy(kept["radiance"]), torch.from_numpy(kept["variance"])
-        image = trace_reference(
-            self.grid,
-            self.camera,
-            self.sun,
-            extinction=depth / self.largest,
-            asymmetry=asymmetry,
-            albedo=albedo,
-            orders=REFERENCE_ORDERS,
-            samples=samples,
-            seed=100 + number,
-            pixels=pixels,
-        )
-        radiance, variance = image.radiance[pixels].double(), image.radiance_variance[pixels].double()
-        if file is not None:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            np.savez(file, radiance=radiance.numpy(), variance=variance.numpy())
-        return pixels, radiance, variance
 
-
-def _estimate(stack: ScatteringStack, asymmetry: Tensor, extinction: Tensor) -> float:
+def estimated_error(stack: ScatteringStack, asymmetry: Tensor, extinction: Tensor) -> float:
     """Error that the stack states, interpolated between nodes."""
     tables = stack.tables
     rows = cubic_weights(tables.asymmetry, asymmetry)

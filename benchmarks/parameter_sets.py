@@ -1,0 +1,172 @@
+"""Random parameter sets of what a fit may search, the table that covers them, and path-traced pixels to compare with."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from cloudfit.quality import Quality
+from precompute.store import table_key
+from render.camera import Camera
+from render.density_grid import DensityGrid
+from render.path_tracer import trace_reference
+from render.ray_march import compute_optical_length
+from render.scattering_stack import ScatteringStack
+
+ASYMMETRY, DEPTH, ALBEDO = (0.0, 0.9), (0.05, 60.0), (0.8, 1.0)
+"""Ranges; the depth is the largest optical depth of a view ray."""
+
+REFERENCE_ORDERS = 256
+
+SETS_SEED, PIXELS_SEED, REFERENCE_SEED = 7, 11, 100
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """What an image depends on, beside volume, camera and sun."""
+
+    asymmetry: float
+    optical_depth: float
+    albedo: float
+
+
+def draw_sets(count: int) -> list[ParameterSet]:
+    """Random sets: asymmetry and albedo uniform, optical depth uniform in its logarithm."""
+    generator = torch.Generator().manual_seed(SETS_SEED)
+    return [_place(values) for values in torch.rand(count, 3, generator=generator, dtype=torch.float64).tolist()]
+
+
+def _place(uniform: list[float]) -> ParameterSet:
+    asymmetry = ASYMMETRY[0] + (ASYMMETRY[1] - ASYMMETRY[0]) * uniform[0]
+    depth = DEPTH[0] * (DEPTH[1] / DEPTH[0]) ** uniform[1]
+    return ParameterSet(asymmetry, depth, ALBEDO[0] + (ALBEDO[1] - ALBEDO[0]) * uniform[2])
+
+
+def table_nodes(quality: Quality, largest_optical_length: float) -> tuple[Tensor, Tensor]:
+    """Asymmetry and extinction nodes that cover the ranges."""
+    thin, thick = DEPTH
+    extinction = torch.logspace(0.0, 1.0, quality.extinction_nodes, base=thick / thin) * (thin / largest_optical_length)
+    return torch.linspace(*ASYMMETRY, quality.asymmetry_nodes), extinction
+
+
+def largest_optical_length(grid: DensityGrid, camera: Camera) -> float:
+    """Of any view ray [m]."""
+    return float(compute_optical_length(grid, *camera.rays()).max())
+
+
+def grey_image(stack: ScatteringStack, one: ParameterSet, largest_optical_length: float) -> Tensor:
+    """Scattered light of the stack's cloud pixels for unit sunlight `(pixel,)`."""
+    values = (one.asymmetry, one.optical_depth / largest_optical_length, one.albedo)
+    with torch.no_grad():
+        layers = stack(*(torch.tensor([value]) for value in values))
+    return (layers.single + layers.multiple)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Disagreement:
+    """An image against a path-traced one.
+
+    Args:
+        error: relative RMS over the pixels, the noise of the reference subtracted in quadrature.
+        bias: of the mean over the pixels, relative.
+        noise: of the reference, relative RMS.
+    """
+
+    error: float
+    bias: float
+    noise: float
+
+    @property
+    def at_least(self) -> float:
+        """The error, but no less than can be told apart from the reference's noise."""
+        return max(self.error, self.noise / 4.0)
+
+
+@dataclass(frozen=True, eq=False)
+class TracedPixels:
+    """Some of the cloud pixels, traced for long by the reference path tracer, and kept in a folder.
+
+    Args:
+        grid, camera, sun: the scene.
+        pixels: how many.
+        paths: of each reference, over all pixels.
+        folder: of the references, or None.
+    """
+
+    grid: DensityGrid
+    camera: Camera
+    sun: Tensor
+    pixels: int
+    paths: int
+    folder: Path | None
+
+    def compare(self, stack: ScatteringStack, one: ParameterSet, number: int) -> Disagreement:
+        """The stack's image against the reference; `number` tells the random streams of the sets apart."""
+        pixels, radiance, variance = self._trace(one, number)
+        image = grey_image(stack, one, largest_optical_length(self.grid, self.camera))
+        image = image[torch.searchsorted(stack.pixel, pixels)].double()
+        power, difference = radiance.square().mean(), image - radiance
+        square = (difference.square().mean() - variance.mean()) / power
+        return Disagreement(
+            float(square.clamp(min=0.0).sqrt()),
+            float(difference.mean() / radiance.mean()),
+            float((variance.mean() / power).sqrt()),
+        )
+
+    def _trace(self, one: ParameterSet, number: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Pixels, their radiance and its variance, traced now or found in the folder."""
+        optical_length = compute_optical_length(self.grid, *self.camera.rays())
+        seen = torch.nonzero(optical_length > 0).flatten()
+        shuffled = torch.randperm(len(seen), generator=torch.Generator().manual_seed(PIXELS_SEED))
+        pixels = seen[shuffled[: self.pixels]].sort().values
+        samples = max(2, self.paths // len(pixels))
+        question = {
+            "grid": self.grid.density,
+            "camera": self.camera,
+            "sun": self.sun,
+            "pixels": pixels,
+            "values": (one.asymmetry, one.optical_depth, one.albedo, samples, number),
+        }
+        file = None if self.folder is None else self.folder / f"reference-{table_key(question)[:16]}.npz"
+        if file is not None and file.exists():
+            kept = np.load(file)
+            return pixels, torch.from_numpy(kept["radiance"]), torch.from_numpy(kept["variance"])
+        image = trace_reference(
+            self.grid,
+            self.camera,
+            self.sun,
+            extinction=one.optical_depth / float(optical_length.max()),
+            asymmetry=one.asymmetry,
+            albedo=one.albedo,
+            orders=REFERENCE_ORDERS,
+            samples=samples,
+            seed=REFERENCE_SEED + number,
+            pixels=pixels,
+        )
+        radiance, variance = image.radiance[pixels].double(), image.radiance_variance[pixels].double()
+        if file is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            np.savez(file, radiance=radiance.numpy(), variance=variance.numpy())
+        return pixels, radiance, variance
+
+
+Constant = tuple[ModuleType, str, object]
+"""A module, the name of a constant or function in it, and another value."""
+
+
+@contextmanager
+def varied(constants: tuple[Constant, ...]) -> Iterator[None]:
+    """Within this block constants of modules have other values."""
+    before = [(module, name, getattr(module, name)) for module, name, _ in constants]
+    try:
+        for module, name, value in constants:
+            setattr(module, name, value)
+        yield
+    finally:
+        for module, name, value in before:
+            setattr(module, name, value)
