@@ -81,7 +81,15 @@ def _check_nodes(asymmetry: Tensor, extinction: Tensor) -> None:
 
 
 def _stage_reporter(on_progress: Progress, name: str) -> Callable[[float], None]:
-    return lambda share: on_progress(name, share)
+    """Progress of one stage that never falls, though a further pass of paths makes the whole larger."""
+    largest = 0.0
+
+    def report(share: float) -> None:
+        nonlocal largest
+        largest = max(largest, share)
+        on_progress(name, largest)
+
+    return report
 
 
 def _split_groups(optical_depth: Tensor) -> list[slice]:

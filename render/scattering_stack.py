@@ -174,7 +174,7 @@ class ScatteringStack(nn.Module):
 
     def _compose_multiple(self, mean: Tensor, node_weights: Tensor) -> Tensor:
         """Sum of the images with given means `(population, pixel)`."""
-        images, nodes = range(len(self.relative)), torch.arange(node_weights.shape[1])
+        images, nodes = list(range(len(self.relative))), torch.arange(node_weights.shape[1])
         if not mean.requires_grad:
             # A candidate lies among 16 nodes, and its high orders may be nothing: most of the tables need not be read.
             seen = mean > SMALLEST_PART * mean.sum(1, keepdim=True)
