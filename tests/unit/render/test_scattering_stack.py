@@ -32,8 +32,11 @@ def tables_of(pixels: int = PIXELS, asymmetry: Tensor = ASYMMETRY, extinction: T
         cos_sun=2.0 * torch.rand(pixels, generator=generator) - 1.0,
         asymmetry=asymmetry,
         extinction=extinction,
+        knots=torch.arange(2, ORDERS + 1),
         single=single,
         multiple=multiple,
+        tail_ratio=torch.zeros(shape[1:]),
+        tail_share=torch.zeros(shape[1:]),
         standard_error=torch.full(shape, 0.1),
         image_error=torch.full(shape[1:], 0.05),
         effective_share=torch.ones(shape),
@@ -201,7 +204,12 @@ def test_black_entries_stay_black() -> None:
     single = tables.single.clone()
     single[:, 4] = 0.0
     layers = compose(ScatteringStack(dataclasses.replace(tables, multiple=multiple, single=single)), 0.2, 0.1, 1.0)
-    whole = compose(ScatteringStack(dataclasses.replace(tables, multiple=tables.multiple[:1])), 0.2, 0.1, 1.0)
+    whole = compose(
+        ScatteringStack(dataclasses.replace(tables, multiple=tables.multiple[:1], knots=tables.knots[:1])),
+        0.2,
+        0.1,
+        1.0,
+    )
     assert float(layers.multiple[0, 2]) == 0.0
     assert 0.0 < float(layers.single[0, 4]) < 1e-6 * float(whole.single.max())
     others = [0, 1, 3, 5]
@@ -243,3 +251,99 @@ def test_the_number_of_orders_is_that_of_the_tables() -> None:
 def test_other_shapes_are_refused(shapes: tuple[tuple[int, ...], ...]) -> None:
     with pytest.raises(ParameterError, match="shape"):
         stack()(*(torch.full(shape, 0.1) for shape in shapes))
+
+
+KNOTS = (2, 3, 4, 6, 10)
+
+
+def knotted(ratio: float = 0.0, share: float = 0.0) -> ScatteringTables:
+    """Tables whose images stand for the orders around the knots, with a tail."""
+    tables = tables_of()
+    exponents = torch.tensor(KNOTS)[:, None, None, None]
+    depth = EXTINCTION[:, None] * tables.optical_length
+    multiple = 0.05 * (-torch.expm1(-depth)) ** exponents * torch.exp(-ASYMMETRY[:, None, None]) * exponents**0.5
+    nodes = (len(ASYMMETRY), len(EXTINCTION))
+    return dataclasses.replace(
+        tables,
+        knots=torch.tensor(KNOTS),
+        multiple=multiple,
+        tail_ratio=torch.full(nodes, ratio),
+        tail_share=torch.full(nodes, share),
+        standard_error=torch.zeros(len(KNOTS), *nodes),
+        effective_share=torch.ones(len(KNOTS), *nodes),
+    )
+
+
+@pytest.mark.parametrize("albedo", [1.0, 0.95, 0.4])
+@pytest.mark.parametrize(("ratio", "share"), [(0.0, 0.0), (0.8, 0.3), (0.95, 0.1)])
+def test_images_count_with_the_albedo_s_power_of_their_knot_and_the_last_with_its_tail(
+    albedo: float, ratio: float, share: float
+) -> None:
+    tables = knotted(ratio, share)
+    model = ScatteringStack(tables)
+    powers = albedo ** torch.tensor(KNOTS, dtype=torch.float64)
+    # Order K has the share of the last image, and each order beyond it the ratio of the one before.
+    beyond = sum((albedo * ratio) ** n for n in range(1, 2000))
+    powers[-1] *= 1.0 + share * beyond
+    expected = (powers[:, None] * tables.multiple[:, 1, 2].double()).sum(0)
+    found = compose(model, float(ASYMMETRY[1]), float(EXTINCTION[2]), albedo).multiple[0]
+    torch.testing.assert_close(found, expected, rtol=2e-5, atol=0.0)
+    consecutive = (albedo ** torch.arange(2, 7)[:, None] * tables.multiple[:, 1, 2]).sum(0).double()
+    assert albedo == 1.0 or not torch.allclose(found, consecutive, rtol=1e-2)
+    assert model.orders == 10
+
+
+def test_a_tail_makes_bright_clouds_brighter_and_dark_ones_hardly() -> None:
+    with_tail, without = ScatteringStack(knotted(0.9, 0.2)), ScatteringStack(knotted())
+    gain = [
+        float(compose(with_tail, 0.2, 0.1, a).multiple.sum() / compose(without, 0.2, 0.1, a).multiple.sum()) - 1.0
+        for a in (0.5, 0.9, 1.0)
+    ]
+    assert 0.0 < gain[0] < 1e-3 < 10.0 * gain[1] < 10.0 * gain[2]
+
+
+def test_any_interpolated_tail_is_finite_and_not_negative() -> None:
+    """Between nodes with and without a tail cubic weights overshoot; neither a ratio above one nor a share below zero may follow."""
+    tables = knotted()
+    ratio, share = torch.zeros(4, 6), torch.zeros(4, 6)
+    ratio[:, 3:], share[:, 3:] = 0.999, 1.0
+    model = ScatteringStack(dataclasses.replace(tables, tail_ratio=ratio, tail_share=share))
+    plain = ScatteringStack(tables)
+    s = torch.logspace(-3.0, 1.0, 200)
+    parameters = torch.full_like(s, 0.4), s, torch.full_like(s, 1.0)
+    found, least = model(*parameters).multiple, plain(*parameters).multiple
+    assert torch.isfinite(found).all()
+    assert (found >= least * (1.0 - 1e-5)).all()
+    assert (found <= 1000.1 * least + 1e-6).all()
+
+
+def test_below_the_nodes_a_knot_falls_with_its_power() -> None:
+    s, tables = float(EXTINCTION[0]), knotted(0.8, 0.3)
+    kept = 0.5 * 0.8
+    powers = 0.5 ** torch.tensor(KNOTS, dtype=torch.float64)
+    powers[-1] *= 1.0 + 0.3 * kept / (1.0 - kept)
+    expected = (powers[:, None] * tables.multiple[:, 1, 0].double()).sum(0)
+    found = compose(ScatteringStack(tables), 0.3, 0.5 * s, 1.0).multiple[0]
+    torch.testing.assert_close(found, expected, rtol=2e-5, atol=0.0)
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_gradients_with_knots_and_tail_are_those_of_central_differences(point: list[float]) -> None:
+    model = ScatteringStack(knotted(0.9, 0.3))
+    for axis, slope in enumerate(gradient(model, point)):
+        step = 1e-6 * max(point[axis], 1e-2)
+        # Steps of 1e-8 leave 1e-7 of a difference of float64.
+        assert slope == pytest.approx(central_difference(model, point, axis, step), rel=1e-5, abs=1e-6)
+    without = gradient(ScatteringStack(knotted()), point)
+    assert point[2] < 0.9 or gradient(model, point)[2] > 1.001 * without[2] or point[1] < 10.0 * LOWEST
+
+
+def test_images_left_out_for_speed_change_nothing_that_counts() -> None:
+    """Without gradients faint images and nodes without weight are not read."""
+    model = ScatteringStack(knotted(0.9, 0.3))
+    generator = torch.Generator().manual_seed(4)
+    g, s, albedo = torch.rand(3, 60, generator=generator, dtype=torch.float64)
+    g, s = 0.85 * g, LOWEST * 0.5 * (2.0 * HIGHEST / LOWEST) ** s
+    moving = albedo.clone().requires_grad_()
+    quick, whole = model(g, s, albedo).multiple, model(g, s, moving).multiple.detach()
+    torch.testing.assert_close(quick, whole, rtol=1e-4, atol=0.0)
