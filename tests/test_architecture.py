@@ -219,7 +219,8 @@ def test_an_import_against_the_layers_is_noticed(tmp_path: Path) -> None:
 
 def declared_imports() -> dict[str, str]:
     """Import name of each dependency, to the name of its distribution."""
-    names = [re.split(r"[<>=!~\[; ]", line)[0] for line in PROJECT["project"]["dependencies"]]
+    extras = PROJECT["project"]["optional-dependencies"]
+    names = [re.split(r"[<>=!~\[; ]", line)[0] for line in PROJECT["project"]["dependencies"] + extras["fast"]]
     return {IMPORT_NAMES.get(name, name): name for name in names}
 
 
@@ -237,6 +238,23 @@ def test_every_dependency_is_used_and_every_import_declared() -> None:
     assert not undeclared, f"imports that pyproject.toml does not ask for: {sorted(undeclared)}"
 
 
+def test_numba_is_asked_for_by_fused_loops_alone_and_these_only_within_functions() -> None:
+    for file in product_files():
+        fused = file.name.startswith("fused_")
+        names = foreign_modules([file.read_text()])
+        assert ("numba" in names) is fused, relative(file)
+        if not fused:
+            assert not eager_fused_imports(file.read_text()), relative(file)
+    assert eager_fused_imports("from render.fused_trilinear import look_up_trilinear\n")
+    assert not eager_fused_imports("def f() -> None:\n    from render.fused_trilinear import look_up_trilinear\n")
+
+
+def eager_fused_imports(source: str) -> list[str]:
+    """Fused modules that are imported as soon as the module itself is."""
+    modules = [node.module or "" for node in ast.parse(source).body if isinstance(node, ast.ImportFrom)]
+    return [name for name in modules if name.rpartition(".")[2].startswith("fused_")]
+
+
 def test_imports_are_found_wherever_they_stand() -> None:
     source = "import torch.nn\nfrom scipy import sparse\ndef f():\n    import importlib\n    importlib.import_module('cv2.x')\n"
     assert foreign_modules([source, "from render.units import LENGTH\nimport json\n"]) == {"torch", "scipy", "cv2"}
@@ -250,5 +268,6 @@ def test_constraints_pin_every_dependency_exactly() -> None:
     lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if line and line[0] != "#"]
     assert not [line for line in lines if not re.fullmatch(r"[\w.-]+==[0-9][0-9a-z.]*", line)], "no paths, no builds"
     pinned = {distribution_name(line) for line in lines}
-    wanted = [*PROJECT["project"]["dependencies"], *PROJECT["project"]["optional-dependencies"]["test"]]
+    extras = PROJECT["project"]["optional-dependencies"]
+    wanted = [*PROJECT["project"]["dependencies"], *extras["test"], *extras["fast"]]
     assert not [line for line in wanted if distribution_name(line) not in pinned]

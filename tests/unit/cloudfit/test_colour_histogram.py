@@ -11,6 +11,8 @@ from cloudfit.colour_histogram import LEVELS, PIXELS_PER_BLOCK, colour_histogram
 from render.colour import DISPLAY_CURVES, srgb_to_linear
 from render.errors import ParameterError
 
+pytestmark = pytest.mark.usefixtures("loops")
+
 CURVES = tuple(DISPLAY_CURVES)
 LARGEST_MOVED_SHARE = 2e-3
 

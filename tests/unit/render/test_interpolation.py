@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from render.errors import ParameterError
-from render.interpolation import cubic_weights
+from render.interpolation import cubic_weights, interpolate_limited, limited_slopes
 
 NODES = torch.tensor([-1.0, 0.0, 0.3, 2.0, 2.5, 7.0], dtype=torch.float64)
 INSIDE = torch.linspace(-1.0, 7.0, 401, dtype=torch.float64)
@@ -81,3 +81,55 @@ def test_nodes_that_do_not_rise_are_refused(nodes: list[float]) -> None:
 def test_precision_is_that_of_the_values() -> None:
     assert cubic_weights(NODES, torch.tensor([0.5])).dtype == torch.float32
     assert cubic_weights(NODES.float(), torch.tensor([0.5], dtype=torch.float64)).dtype == torch.float64
+
+
+def limited(samples: torch.Tensor, values: torch.Tensor, nodes: torch.Tensor = NODES) -> torch.Tensor:
+    """Values `(population, row)` of samples `(row, node)`."""
+    return interpolate_limited(nodes, samples, limited_slopes(nodes, samples), values)
+
+
+def test_smooth_samples_are_interpolated_as_without_limits() -> None:
+    even = torch.linspace(0.0, 6.0, 13, dtype=torch.float64)
+    samples = torch.stack([2.0 + 3.0 * even, (0.3 * even).exp(), 1.0 - even])
+    values = torch.linspace(-1.0, 7.0, 300, dtype=torch.float64)
+    expected = cubic_weights(even, values) @ samples.T
+    torch.testing.assert_close(limited(samples, values, even), expected)
+    bent = torch.where(even > 3.0, 100.0, samples)
+    assert not torch.allclose(limited(bent, values, even), cubic_weights(even, values) @ bent.T)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 6])
+def test_limited_curves_meet_their_samples_and_are_held_at_the_border(count: int) -> None:
+    nodes, samples = (
+        NODES[:count],
+        torch.randn(4, count, dtype=torch.float64, generator=torch.Generator().manual_seed(0)),
+    )
+    torch.testing.assert_close(limited(samples, nodes, nodes), samples.T)
+    ends = limited(samples, torch.tensor([-1e9, 1e9], dtype=torch.float64), nodes)
+    torch.testing.assert_close(ends, samples[:, [0, -1]].T)
+    assert limited(samples, nodes[:0], nodes).shape == (0, 4)
+
+
+def test_beside_a_cliff_nothing_leaves_the_range_of_its_two_samples() -> None:
+    samples = torch.tensor([[-85.0, -85.0, -85.0, -3.0, -2.5, -2.4]], dtype=torch.float64)
+    inside = INSIDE[NODES[-2] >= INSIDE]  # the slope at the last node may point back, by three last secants at most
+    found = limited(samples, inside)[:, 0]
+    cell = (torch.searchsorted(NODES, inside, right=True) - 1).clamp(0, len(NODES) - 2)
+    low, high = samples[0, cell], samples[0, cell + 1]
+    assert (found >= torch.minimum(low, high) - 1e-9).all()
+    assert (found <= torch.maximum(low, high) + 1e-9).all()
+    assert (found.diff() >= -1e-9).all()
+    assert float((limited(samples, INSIDE) - samples[0, -1]).max()) < 0.1 * float(samples[0, -1] - samples[0, -2])
+    plain = cubic_weights(NODES, inside) @ samples[0]
+    assert float((plain - torch.maximum(low, high)).max()) > 1.0
+
+
+def test_limited_interpolation_is_differentiable() -> None:
+    samples = torch.randn(2, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    values = torch.tensor([-0.9, 0.1, 1.7, 6.0], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda v: limited(samples, v), (values,))
+
+
+def test_slopes_need_rising_nodes() -> None:
+    with pytest.raises(ParameterError, match="rise"):
+        limited_slopes(torch.tensor([0.0, 0.0, 1.0]), torch.zeros(1, 3))

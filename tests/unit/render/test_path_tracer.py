@@ -221,3 +221,19 @@ def test_parameters_outside_their_domain_are_refused(changes: dict[str, float]) 
 def test_a_sun_without_direction_is_refused() -> None:
     with pytest.raises(ParameterError, match="direction"):
         trace(uniform_box(), view_north(), torch.zeros(3))
+
+
+def test_some_pixels_alone_agree_with_the_whole_and_the_others_stay_black() -> None:
+    camera = view_north(4, 3, 9.0)
+    whole = trace(uniform_box(), camera)
+    seen = torch.nonzero(whole.radiance).flatten()
+    some = torch.cat([seen[1:4], torch.nonzero(whole.radiance == 0).flatten()[:1]])
+    part = trace_reference(
+        uniform_box(), camera, SUN, extinction=0.4, asymmetry=0.3, albedo=0.9, orders=2, samples=400, pixels=some
+    )
+    assert torch.equal(torch.nonzero(part.radiance).flatten(), seen[1:4])
+    variance = part.radiance_variance + whole.radiance_variance
+    assert passes_z_test((part.radiance - whole.radiance)[some], variance[some])
+    beside = torch.ones(12, dtype=torch.bool)
+    beside[some] = False
+    assert torch.equal(part.transmittance[beside], torch.ones(int(beside.sum())))
