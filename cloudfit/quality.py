@@ -1,8 +1,9 @@
 """Presets that trade time for accuracy; the figures behind them are in benchmarks/results."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from precompute.error_budget import Effort
+from render.errors import ParameterError
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,34 @@ class Quality:
     extinction_nodes: int
     largest_image_error: float
 
+    def limited(self, seconds: float | None) -> "Quality":
+        """The same with a limit on the seconds after which a stack gets no further pass of paths."""
+        return replace(self, table_effort=replace(self.table_effort, max_seconds=seconds))
+
+
+def quality_for(tolerance: float) -> Quality:
+    """Quality for an accepted relative RMS error of the cloud image.
+
+    The preset with the nearest tolerance, in logarithms, with as many more or fewer paths as the error asks for: their number goes
+    with the inverse square of the error.
+
+    Raises:
+        ParameterError: for a tolerance outside 0.001..1.
+    """
+    if not 0.001 <= tolerance <= 1.0:
+        raise ParameterError(f"a tolerance must lie between 0.001 and 1, not {tolerance}")
+
+    def adapt(effort: Effort) -> Effort:
+        factor = ((effort.tolerance or tolerance) / tolerance) ** 2
+        return replace(effort, tolerance=tolerance, paths=max(1, round(factor * effort.paths)))
+
+    def distance(preset: Quality) -> float:
+        known = preset.table_effort.tolerance or tolerance
+        return max(known / tolerance, tolerance / known)
+
+    nearest = min(QUALITIES.values(), key=distance)
+    return replace(nearest, table_effort=adapt(nearest.table_effort), picture_effort=adapt(nearest.picture_effort))
+
 
 QUALITIES: dict[str, Quality] = {
     "draft": Quality(
@@ -37,7 +66,7 @@ QUALITIES: dict[str, Quality] = {
     ),
     "standard": Quality(
         0.5,
-        Effort(66, 100_000, 10_000_000, 16, True, 0.02),
+        Effort(66, 150_000, 16_000_000, 16, True, 0.02),
         Effort(66, 150_000, 4_000_000, 16, True, 0.02),
         11,
         11,

@@ -300,7 +300,7 @@ def trace_paths(
         Mean weights of both halves of the paths `(extinction, point, half, knot, asymmetry)` [1/sr], and the sums over all paths of their
         squares `(knot, asymmetry, extinction)`.
     """
-    announce_compilation()
+    announce_compilation("fused_paths", _trace_points.stats.cache_path)
     knots, lobes, thickness = shares.shape[1], len(asymmetry), len(extinction)
     source = torch.empty(thickness, len(position), 2, knots, lobes)
     chunks = max(1, math.ceil(len(position) / CHUNK))

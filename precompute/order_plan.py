@@ -31,7 +31,7 @@ DENSE_ORDERS, CONNECTION = 6, 0.3
 LARGEST_RATIO = 0.999
 """Of two orders far up; a cloud that lost even less light per scattering would need more orders traced."""
 
-CONTINUATION = 0.6
+CONTINUATION = 0.7
 """Share of the paths that goes on past a knot from the last separate order on."""
 
 

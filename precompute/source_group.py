@@ -169,6 +169,8 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     clock.lap("images")
     report(1.0)
     image_error = torch.stack([one.of_image for one in errors], dim=2)
+    if reason is StopReason.PATHS and box_error(image_error) <= (effort.tolerance or 0.0):
+        reason = StopReason.TOLERANCE
     return GroupImages(
         single,
         pilot.complete(multiple, phase[:, None] * single),

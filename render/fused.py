@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 from importlib.util import find_spec
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -66,6 +67,12 @@ def run_in_threads(work: Callable[[int, int], None], count: int, chunk: int) -> 
 
 
 @cache
-def announce_compilation() -> None:
-    """Say once that the first call takes longer, where somebody listens to the logger "cloudfit"."""
-    log.info("compiling the fused loops; this takes some ten seconds once and is kept on disk")
+def announce_compilation(module: str, folder: str) -> None:
+    """Say once that the first call takes longer, where somebody listens to the logger "cloudfit".
+
+    Args:
+        module: file name of the fused loops without its ending.
+        folder: where numba keeps what it compiles.
+    """
+    if not any(Path(folder).glob(f"{module}.*.nbi")):
+        log.info("compiling the fused loops, once; it takes some ten seconds and is kept on disk")

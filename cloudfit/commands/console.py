@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import logging
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -36,6 +37,9 @@ class Speaker:
     def __init__(self, quiet: bool = False, verbose: bool = False) -> None:
         self.quiet, self.verbose = quiet, verbose
         self._errors = Console(stderr=True, highlight=False, soft_wrap=True)
+        logger = logging.getLogger("cloudfit")
+        logger.handlers = [_Listener(self)]
+        logger.setLevel(logging.INFO)
 
     def say(self, message: str) -> None:
         """A message on stderr, unless quiet."""
@@ -60,6 +64,17 @@ class Speaker:
             *columns, console=self._errors, transient=True, disable=hidden, refresh_per_second=REFRESH_PER_SECOND
         ) as progress:
             yield Bars(progress, total)
+
+
+class _Listener(logging.Handler):
+    """Says what the library logs."""
+
+    def __init__(self, speaker: Speaker) -> None:
+        super().__init__()
+        self._speaker = speaker
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._speaker.say(record.getMessage())
 
 
 class Bars:

@@ -110,6 +110,7 @@ def fit(
     camera_height: o.CameraHeight = o.DEFAULT_HEIGHT,
     camera_type: o.CameraKind = o.CameraType.PINHOLE,
     quality: o.Quality = o.QualityName.STANDARD,
+    tolerance: o.Tolerance = None,
     transfer: Transfer = o.TransferName.SRGB,
     ambient: Ambient = o.AmbientName.SUN,
     optimiser: Optimiser = o.DEFAULT_OPTIMISER,
@@ -154,6 +155,7 @@ def fit(
         seed,
         searches,
         air_refinements,
+        tolerance,
     )
     with reported_errors(speaker, RESUME_HINT):
         from cloudfit.batch import BatchSettings

@@ -69,6 +69,7 @@ def _describe_volume(path: Path) -> dict[str, Any]:
 def _describe_stack(path: Path) -> dict[str, Any]:
     from safetensors import SafetensorError, safe_open
 
+    from cloudfit.stack_report import describe_groups
     from precompute.stack_store import load_stack
     from precompute.store import load_tables
     from render.errors import InputError, StoreError
@@ -89,11 +90,12 @@ def _describe_stack(path: Path) -> dict[str, Any]:
         "height": tables.height,
         "cloud_pixels": len(tables.pixel),
         "largest_optical_length_m": tables.largest_optical_length,
-        "orders": tables.multiple.shape[0] + 1,
+        "knots": tables.knots.tolist(),
         "asymmetry_nodes": tables.asymmetry.tolist(),
         "extinction_nodes_per_m": tables.extinction.tolist(),
         "median_image_error": float(tables.image_error.median()),
         "largest_image_error": float(tables.image_error.max()),
+        "modelled": describe_groups(tables.groups),
         "provenance": provenance,
         "key": key,
     }

@@ -11,6 +11,7 @@ from render.units import radians_from_degrees
 
 if TYPE_CHECKING:
     from cloudfit.fit_types import FitOptions
+    from cloudfit.quality import Quality as Preset
     from cloudfit.scene import Scene
 
 
@@ -86,6 +87,15 @@ CameraWidth = Annotated[int, typer.Option(min=1, help="Pixels in a row of the pi
 CameraHeight = Annotated[int, typer.Option(min=1, help="Rows of the pictures.", rich_help_panel=CAMERA)]
 CameraKind = Annotated[CameraType, typer.Option(help="Projection.", rich_help_panel=CAMERA)]
 Quality = Annotated[QualityName, typer.Option(help="Trades time for accuracy.", rich_help_panel=SEARCH)]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(
+        min=0.001,
+        max=1,
+        help="Accepted relative error of the precomputed cloud images, such as 0.05, instead of a preset of --quality.",
+        rich_help_panel=SEARCH,
+    ),
+]
 Seed = Annotated[
     int, typer.Option(min=0, help="Of every random stream; equal seeds give equal results.", rich_help_panel=RUN)
 ]
@@ -166,18 +176,18 @@ class SearchChoice:
     seed: int = 0
     searches: int = 3
     air_refinements: int = DEFAULT_AIR_REFINEMENTS
+    tolerance: float | None = None
 
     def options(self) -> "FitOptions":
         """The options of a fit. Raises ParameterError for an optimiser that there is not."""
         from cloudfit.fit_types import FitOptions
         from cloudfit.optimisers import OPTIMISERS
-        from cloudfit.quality import QUALITIES
         from render.errors import ParameterError
 
         if self.optimiser not in OPTIMISERS:
             raise ParameterError(f"no optimiser is called {self.optimiser!r}; there are {', '.join(OPTIMISERS)}")
         return FitOptions(
-            quality=QUALITIES[self.quality.value],
+            quality=choose_quality(self.quality, self.tolerance),
             ambient=self.ambient.value,
             transfer=self.transfer.value,
             optimiser=self.optimiser,
@@ -188,3 +198,10 @@ class SearchChoice:
             seed=self.seed,
             air_refinements=self.air_refinements,
         )
+
+
+def choose_quality(name: QualityName, tolerance: float | None) -> "Preset":
+    """The preset, or one for the tolerance if there is any."""
+    from cloudfit.quality import QUALITIES, quality_for
+
+    return QUALITIES[name.value] if tolerance is None else quality_for(tolerance)

@@ -18,6 +18,15 @@ cloudfit fit photos/ --volume cloud.vol --tables tables/
 
 TablesFolder = Annotated[Path, typer.Option(help="Folder of the tables; made if needed.", rich_help_panel=o.RUN)]
 
+MaxSeconds = Annotated[
+    float | None,
+    typer.Option(
+        min=0.001,
+        help="After which no further pass of paths begins, whatever error is left; the parts that need no paths come on top.",
+        rich_help_panel=o.SEARCH,
+    ),
+]
+
 
 def precompute(
     volume: o.Volume = None,
@@ -32,6 +41,8 @@ def precompute(
     camera_height: o.CameraHeight = o.DEFAULT_HEIGHT,
     camera_type: o.CameraKind = o.CameraType.PINHOLE,
     quality: o.Quality = o.QualityName.STANDARD,
+    tolerance: o.Tolerance = None,
+    max_seconds: MaxSeconds = None,
     seed: o.Seed = 0,
     quiet: o.Quiet = False,
     json: o.AsJson = False,
@@ -55,13 +66,14 @@ def precompute(
     )
     with reported_errors(speaker, "run the same command again"):
         from cloudfit.batch import available_cores, limit_threads
-        from cloudfit.quality import QUALITIES
         from cloudfit.stack import prepare_stack
+        from cloudfit.stack_report import describe_groups
 
         limit_threads(available_cores())
         speaker.say(f"precomputing {choice.describe()}")
         with speaker.progress() as bars:
-            stack, report = prepare_stack(choice.load(), QUALITIES[quality.value], seed, tables, bars.stage)
+            preset = o.choose_quality(quality, tolerance).limited(max_seconds)
+            stack, report = prepare_stack(choice.load(), preset, seed, tables, bars.stage)
         usable = float(stack.usable.float().mean())
         if json:
             print_json(
@@ -71,9 +83,12 @@ def precompute(
                     "seconds": report.seconds,
                     "reused": report.reused,
                     "usable_nodes": usable,
+                    "groups": stack.tables.groups,
                 }
             )
             return
+        for sentence in describe_groups(stack.tables.groups):
+            speaker.say(sentence)
         speaker.say(
             f"{'loaded' if report.reused else 'built'} in {report.seconds:.1f} s; "
             f"{usable:.0%} of the nodes meet the accepted error"

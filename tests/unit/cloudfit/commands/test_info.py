@@ -40,7 +40,8 @@ def test_a_stack_is_described(tmp_path: Path) -> None:
     path = tmp_path / "stack.safetensors"
     save_stack(path, one_pixel_tables(), "f" * 64, {"seed": 3})
     document = describe_file(path)
-    assert (document["kind"], document["orders"], document["cloud_pixels"]) == ("scattering stack", 4, 1)
+    assert (document["kind"], document["knots"], document["cloud_pixels"]) == ("scattering stack", [2, 3, 4], 1)
+    assert document["modelled"] == []
     assert document["provenance"]["seed"] == 3
     path.write_bytes(path.read_bytes()[:-7])
     with pytest.raises(InputError, match="cannot read the tables"):

@@ -7,7 +7,7 @@ import torch
 
 from cloudfit import stack as stack_module
 from cloudfit.commands.precompute import precompute
-from cloudfit.quality import QUALITIES
+from cloudfit.quality import QUALITIES, quality_for
 from precompute.stack_store import StackReport
 from render.density_grid import DensityGrid
 from render.scattering_stack import ScatteringStack
@@ -32,5 +32,6 @@ def test_the_store_is_filled_and_its_place_told(
     streams = capsys.readouterr()
     assert streams.out.strip() == str(tmp_path / "stack.safetensors")
     assert "built in 1.5 s; 100% of the nodes" in streams.err
-    precompute(tmp_path / "cloud.npz", tmp_path / "tables", json=True)
+    precompute(tmp_path / "cloud.npz", tmp_path / "tables", tolerance=0.03, max_seconds=9.0, json=True)
+    assert calls[1][1] == quality_for(0.03).limited(9.0)
     assert json.loads(capsys.readouterr().out)["usable_nodes"] == 1.0
