@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from render.fused import torch_loops_only
+from render.fused import fused_loops_wanted, torch_loops_only
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -21,7 +21,8 @@ def one_thread() -> Iterator[None]:
 def loops(request: pytest.FixtureRequest) -> Iterator[None]:
     """Run a test with the torch loops and with their fused twins."""
     if request.param == "fused":
-        pytest.importorskip("numba")
+        if not fused_loops_wanted():
+            pytest.skip("numba is not installed, or not to be used")
         yield
     else:
         with torch_loops_only():

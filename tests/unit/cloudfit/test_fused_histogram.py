@@ -8,7 +8,9 @@ pytest.importorskip("numba")
 from cloudfit import fused_histogram
 from cloudfit.colour_histogram import LEVELS, haze_histograms
 from cloudfit.fused_histogram import BLOCK
-from render.fused import torch_loops_only
+from render.fused import fused_loops_wanted, torch_loops_only
+
+pytestmark = pytest.mark.skipif(not fused_loops_wanted(), reason="the fused loops are turned off")
 
 
 def light(*shape: int, seed: int = 0) -> torch.Tensor:

@@ -10,8 +10,10 @@ pytest.importorskip("numba")
 from precompute import fused_flight
 from precompute.free_flight import Flight, fly, march_to_sun
 from render.density_grid import DensityGrid
-from render.fused import torch_loops_only
+from render.fused import fused_loops_wanted, torch_loops_only
 from tests.support.volumes import noise_box, ramp_box, towards, uniform_box
+
+pytestmark = pytest.mark.skipif(not fused_loops_wanted(), reason="the fused loops are turned off")
 
 GRIDS: dict[str, Callable[[], DensityGrid]] = {
     "noise": noise_box,

@@ -14,10 +14,11 @@ from render.fused import SWITCH, fused_loops_wanted, run_in_threads, torch_loops
 from render.trilinear import TrilinearTable
 
 NUMBA = find_spec("numba") is not None
+USED = NUMBA and os.environ.get(SWITCH, "1") != "0"
 ROOT = Path(__file__).resolve().parents[3]
 PLAIN = torch.zeros(3)
 
-needs_numba = pytest.mark.skipif(not NUMBA, reason="numba is not installed")
+needs_numba = pytest.mark.skipif(not USED, reason="numba is not installed, or not to be used")
 
 
 @needs_numba
@@ -38,7 +39,7 @@ def test_a_block_can_refuse_them_and_ends_even_by_an_error() -> None:
         with torch_loops_only():
             assert not fused_loops_wanted(PLAIN)
         assert not fused_loops_wanted(PLAIN)
-    assert fused_loops_wanted(PLAIN) is before is NUMBA
+    assert fused_loops_wanted(PLAIN) is before is USED
     with pytest.raises(ZeroDivisionError), torch_loops_only():
         raise ZeroDivisionError
     assert fused_loops_wanted(PLAIN) is before
@@ -79,8 +80,8 @@ print(bool(tables.multiple.sum() > 0), sum(name.startswith("numba.") for name in
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Sizes of the fused look-ups."""
-    if not NUMBA:
-        pytest.skip("numba is not installed")
+    if not USED:
+        pytest.skip("numba is not installed, or not to be used")
     from render import fused_trilinear
 
     made: list[int] = []
