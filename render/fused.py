@@ -28,7 +28,21 @@ _allowed: ContextVar[bool] = ContextVar("fused loops allowed", default=True)
 
 @cache
 def _installed() -> bool:
-    return os.environ.get(SWITCH, "1") != "0" and find_spec("numba") is not None
+    return os.environ.get(SWITCH, "1") != "0" and find_spec("numba") is not None and _prepare_cache()
+
+
+def _prepare_cache() -> bool:
+    """Tell numba where to keep what it compiles; false if there is no place to write, for then it refuses to load the loops at all."""
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return True
+    try:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        folder = Path(base) / "cloudfit" / "numba"
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return False
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    return os.access(folder, os.W_OK)
 
 
 def fused_loops_wanted(*tensors: Tensor) -> bool:

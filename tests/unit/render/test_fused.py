@@ -57,6 +57,21 @@ def test_the_environment_turns_them_off(value: str | None, expected: bool) -> No
     assert run.stdout.strip() == str(expected)
 
 
+@pytest.mark.parametrize("writable", [True, False])
+def test_loops_need_a_place_for_what_is_compiled(writable: bool, tmp_path: Path) -> None:
+    place = tmp_path / "cache"
+    if not writable:
+        place.write_text("a file, in which no folder can be made")
+    environment = {name: value for name, value in os.environ.items() if name not in (SWITCH, "NUMBA_CACHE_DIR")}
+    environment["XDG_CACHE_HOME"] = str(place)
+    command = "from render.fused import fused_loops_wanted; print(fused_loops_wanted())"
+    run = subprocess.run(
+        [sys.executable, "-c", command], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+    )
+    assert run.stdout.strip() == str(writable and NUMBA)
+    assert not writable or not NUMBA or (place / "cloudfit" / "numba").is_dir()
+
+
 def test_without_numba_nothing_asks_for_it() -> None:
     """A stack is built without numba, as if it could not be imported."""
     command = """
