@@ -9,6 +9,7 @@ so that the sum over the knots of albedo^knot times image is exact for albedo on
 per cent, and close in between. High orders are smooth and carry little: a part of the paths goes on past each knot, at a larger weight.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -28,8 +29,8 @@ orders, whose light comes from everywhere, it does harm: 0.3 throughout made ord
 DENSE_ORDERS, CONNECTION = 6, 0.3
 """Up to this order every vertex is connected to the sun, then one in three: neighbours along a path know nearly the same."""
 
-LARGEST_RATIO = 0.999
-"""Of two orders far up; a cloud that lost even less light per scattering would need more orders traced."""
+LARGEST_RATIO = 0.9999
+"""Of two orders far up, beside the power of 3/2."""
 
 CONTINUATION = 0.7
 """Share of the paths that goes on past a knot from the last separate order on."""
@@ -88,25 +89,25 @@ def _sun_lobe(order: int) -> float:
 
 
 def close_tail(plan: OrderPlan, energy: Tensor) -> tuple[Tensor, Tensor]:
-    """Decay of the orders beyond the largest, from the last two images under the assumption f_k ~ r^k.
+    """Decay of the orders beyond the largest, from the last two images under the assumption f_k ~ k^(-3/2) r^k.
 
-    The energies of two neighbouring knots fix r; with it the largest order's own share f_K of its knot's image follows, and
-
-        sum over k > K of albedo^k f_k = albedo^K f_K  albedo r / (1 - albedo r).
+    Light that is scattered often diffuses, and the number of scatterings after which it first comes out again falls with the power 3/2
+    until the size of the cloud shows, then exponentially. The energies of the last two knots fix r; with it the largest order's own share
+    f_K of its knot's image follows. `ScatteringStack` sums the series.
 
     Args:
         plan: with at least one image that is shared.
         energy: mean of each knot's image `(knot, ...)`.
 
     Returns:
-        The ratio r in 0..0.999 and the share f_K over the last image, each `(...)`; both zero where an energy is.
+        The ratio r in 0..0.9999 and the share f_K over the last image, each `(...)`; both zero where an energy is.
     """
-    candidates = torch.linspace(0.0, LARGEST_RATIO, 2000, dtype=torch.float64)
+    candidates = 1.0 - torch.logspace(0.0, math.log10(1.0 - LARGEST_RATIO), 2000, dtype=torch.float64)
     orders = torch.arange(2, plan.largest_order + 1, dtype=torch.float64)
     # Relative to the largest order, so that nothing underflows, and from a ratio on with which nothing overflows.
     smallest = max(1e-3, 10.0 ** (-300.0 / plan.largest_order))
-    geometric = candidates.clamp(min=smallest)[:, None] ** (orders - plan.largest_order)
-    images = geometric @ plan.shares
+    decay = candidates.clamp(min=smallest)[:, None] ** (orders - plan.largest_order)
+    images = (decay * (orders / plan.largest_order) ** -1.5) @ plan.shares
     quotient = images[:, -1] / images[:, -2]
     last, before = energy[-1].double(), energy[-2].double()
     lit = (last > 0) & (before > 0)

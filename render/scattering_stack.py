@@ -9,11 +9,12 @@ with the sunlight's intensity L_in, the albedo beta, the asymmetry g, the extinc
 theta between view and sun, the optical length u [m], the single-scattering integral S1 and the orders f_k, k >= 2. S1 and f_k are
 tables, interpolated over ln s and g. Powers of s are straight lines in logarithms, so those of S1, which has no noise, are interpolated.
 High orders share the images of a few knots: sum beta^k f_k over k >= 2 is taken as sum beta^K F_K over the knots K (how orders are shared
-out is the builder's choice), and the orders beyond the last knot as a geometric series with a measured ratio. F_K is split into its mean
-over the pixels, whose logarithm is interpolated, and the image relative to that mean, which is interpolated as it is: the logarithm of a
-noisy number is too small on average, between nodes by half its relative variance.
+out is the builder's choice), and the orders beyond the last knot as a series k^(-3/2) r^k with a measured ratio r. F_K is split into its
+mean over the pixels, whose logarithm is interpolated, and the image relative to that mean, which is interpolated as it is: the logarithm
+of a noisy number is too small on average, between nodes by half its relative variance.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -47,7 +48,7 @@ class ScatteringTables:
         knots: exponents of the albedo `(knot,)`; 2, 3 and 4 stand for themselves, the others for the orders around them too.
         single: S1 `(extinction, pixel)`.
         multiple: f `(knot, asymmetry, extinction, pixel)` [1/sr].
-        tail_ratio: of two successive orders beyond the last knot K `(asymmetry, extinction)`; zero leaves them out.
+        tail_ratio: r of the orders beyond the last knot K, which fall like k^(-3/2) r^k `(asymmetry, extinction)`; zero leaves them out.
         tail_share: of order K in the last image `(asymmetry, extinction)`.
         standard_error: relative RMS over the pixels of each image `(knot, asymmetry, extinction)`.
         image_error: the same for the composed image `(asymmetry, extinction)`.
@@ -194,8 +195,8 @@ class ScatteringStack(nn.Module):
         ratio, share = (
             node_weights @ values.flatten().to(albedo) for values in (self.tables.tail_ratio, self.tables.tail_share)
         )
-        kept = loss * ratio.clamp(0.0, 0.999)
-        powers[-1] = powers[-1] * (1.0 + share.clamp(min=0.0) * kept / (1.0 - kept))
+        beyond = sum_tail(loss * ratio.clamp(0.0, 1.0), int(self.tables.knots[-1]))
+        powers[-1] = powers[-1] * (1.0 + share.clamp(min=0.0) * beyond)
         return torch.stack(powers, dim=1)
 
     def is_usable(self, asymmetry: Tensor, extinction: Tensor) -> Tensor:
@@ -203,6 +204,27 @@ class ScatteringStack(nn.Module):
         columns = _surrounding(self.tables.extinction, extinction)
         rows = _surrounding(self.tables.asymmetry, asymmetry)
         return torch.stack([self.usable[row, column] for row in rows for column in columns]).all(0)
+
+
+def sum_tail(kept: Tensor, largest_order: int) -> Tensor:
+    """Orders beyond the largest over the largest, if they fall like k^(-3/2) r^k.
+
+        sum over j >= 1 of (1 + j/K)^(-3/2) (albedo r)^j
+
+    The first terms are added one by one, the others as integrals over cells that grow by a tenth, up to 1e5 K.
+
+    Args:
+        kept: albedo times r, in 0..1 `(population,)`.
+        largest_order: K.
+
+    Returns:
+        The sum `(population,)`, to 1 part in 1000.
+    """
+    edges = torch.logspace(math.log10(16.5), math.log10(1e5 * largest_order), 200, dtype=torch.float64)
+    terms = torch.cat([torch.arange(1.0, 17.0, dtype=torch.float64), (edges[1:] * edges[:-1]).sqrt()]).to(kept)
+    widths = torch.cat([torch.ones(16, dtype=torch.float64), edges.diff()]).to(kept)
+    fall = widths * (1.0 + terms / largest_order) ** -1.5
+    return (fall * torch.exp(terms * kept.clamp(min=1e-30).log()[:, None])).sum(1)
 
 
 def _surrounding(nodes: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:

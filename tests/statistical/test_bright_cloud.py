@@ -30,7 +30,7 @@ def test_the_mean_image_is_that_of_paths_to_order_256(asymmetry: float) -> None:
     sun = towards(110.0, 25.0)
     nodes = torch.tensor([asymmetry]), torch.tensor([extinction])
     reference = trace_reference(
-        grid, camera, sun, extinction=extinction, asymmetry=asymmetry, albedo=ALBEDO, orders=ORDERS, samples=4000
+        grid, camera, sun, extinction=extinction, asymmetry=asymmetry, albedo=ALBEDO, orders=ORDERS, samples=800
     )
     means = {}
     for name, effort in (("tail", EFFORT), ("no tail", Effort(66, 40_000, 2_000_000, 16, False))):
