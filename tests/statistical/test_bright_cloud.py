@@ -40,6 +40,6 @@ def test_the_mean_image_is_that_of_paths_to_order_256(asymmetry: float) -> None:
     truth = float(reference.radiance[stack.pixel].double().mean())
     noise = float(reference.radiance_variance[stack.pixel].double().sum().sqrt()) / len(stack.pixel) / truth
     print(f"g {asymmetry}: { ({n: m / truth - 1 for n, m in means.items()}) } +- {noise:.4f} of the mean image")
-    assert noise < 0.3 * ACCEPTED
+    assert noise < 0.5 * ACCEPTED
     assert abs(means["tail"] / truth - 1.0) < ACCEPTED
     assert means["no tail"] < means["tail"]
