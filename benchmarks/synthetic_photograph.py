@@ -18,12 +18,15 @@ from cloudfit.fit_problem import visible_share
 from cloudfit.photograph import Photograph, read_photograph
 from cloudfit.scene import Scene
 from cloudfit.sunlight import Sunlight
+from precompute.error_budget import Effort
+from precompute.scattering_orders import build_scattering_stack
 from precompute.store import table_key
 from render.camera import Camera
 from render.colour import srgb_to_linear
 from render.image_files import write_mask_png, write_png
 from render.path_tracer import ReferenceImage, trace_reference
 from render.ray_march import compute_optical_length
+from render.scattering_stack import ScatteringStack
 
 HORIZON, ZENITH = (0.55, 0.70, 0.86), (0.13, 0.30, 0.66)
 """Linear light of the sky at the bottom and the top of the image."""
@@ -189,6 +192,21 @@ def photograph_by_path_tracing(
     kept = {"key": key, "noise": reached, "noise_rms": rms, "samples": samples, **asdict(photograph.truth)}
     sidecar.write_text(json.dumps(kept, indent=2) + "\n")
     return photograph
+
+
+def photograph_by_stack(scene: Scene, truth: Truth, path: Path, effort: Effort, seed: int) -> SyntheticPhotograph:
+    """Photograph with the scene's camera from a stack that has the true node alone: soon there, all orders, hardly any noise."""
+    camera = scene.camera
+    optical_length = compute_optical_length(scene.grid, *camera.rays())
+    cloud = visible_share(optical_length).unflatten(0, (camera.height, camera.width))
+    extinction = truth.optical_depth / float(optical_length.max())
+    node = torch.tensor([truth.asymmetry]), torch.tensor([extinction])
+    tables = build_scattering_stack(scene.grid, camera, scene.sun_direction, *node, effort, seed)
+    with torch.no_grad():
+        layers = ScatteringStack(tables)(*node, torch.tensor([truth.albedo]))
+    grey = torch.zeros_like(optical_length)
+    grey[tables.pixel] = (layers.single + layers.multiple)[0]
+    return _write(path, truth, grey, torch.exp(-extinction * optical_length), cloud)
 
 
 def _labels(cloud: Tensor) -> Tensor:

@@ -12,9 +12,12 @@ import torch
 
 from benchmarks.__main__ import BENCHMARKS, main
 from benchmarks.common import harmonic_mean, peak_memory_mb, spread
+from benchmarks.front import Point, pareto_front
 from benchmarks.masks import compare
+from benchmarks.parameter_sets import varied
 from benchmarks.synthetic_photograph import MIDDLE, draw_truth, photograph_by_path_tracing
 from cloudfit.scene import Scene
+from precompute import smoothing
 from render.camera import frame_volume
 from render.image_files import write_mask_png, write_png
 from render.procedural_cloud import build_cumulus
@@ -50,6 +53,31 @@ def test_the_cost_of_a_stack_stands_beside_its_error(tmp_path: Path, capsys: pyt
     assert measures["memory_after_imports_mb"]["median"] <= measures["peak_memory_of_build_mb"]["median"]
     assert "iteration_ms" in out
     assert measures["refined_iteration_ms"]["median"] > measures["iteration_ms"]["median"] > 0.0
+
+
+def test_every_knob_of_a_stack_has_its_time_and_its_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result, out = run_quick("tradeoff", tmp_path, capsys, "--threads", "1", "--out", str(tmp_path))
+    measured = {(one["knob"], one["value"]): one for one in result["measured"]}
+    assert all(one["seconds"]["median"] > 0.0 < one["error"]["median"] for one in measured.values())
+    assert {knob for knob, _ in measured} == {"preset", *result["settings"]["knobs"]}
+    preset, rough = measured["preset", "as it is"], measured["smoothing", "0 levels"]
+    assert rough["error"]["median"] > 2.0 * preset["error"]["median"]
+    assert measured["bins", "64"]["seconds"] == preset["seconds"]
+    assert any(one["on_front"] for one in measured.values())
+    assert "smoothing" in out
+    assert (tmp_path / "tradeoff.png").stat().st_size > 0 < (tmp_path / "tradeoff.svg").stat().st_size
+
+
+def test_the_front_holds_what_nothing_beats() -> None:
+    points = [Point("a", "", seconds, error) for seconds, error in ((1.0, 3.0), (2.0, 4.0), (3.0, 1.0), (3.0, 2.0))]
+    assert pareto_front(points) == [0, 2]
+
+
+def test_varied_constants_are_put_back() -> None:
+    before = smoothing.LEVELS
+    with varied(((smoothing, "LEVELS", before + 1),)):
+        assert before + 1 == smoothing.LEVELS
+    assert before == smoothing.LEVELS
 
 
 @pytest.mark.slow
