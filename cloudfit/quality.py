@@ -66,8 +66,8 @@ QUALITIES: dict[str, Quality] = {
     ),
     "standard": Quality(
         0.5,
-        Effort(66, 150_000, 16_000_000, 16, True, 0.02),
-        Effort(66, 150_000, 4_000_000, 16, True, 0.02),
+        Effort(66, 100_000, 9_000_000, 16, True, 0.02),
+        Effort(66, 150_000, 3_000_000, 16, True, 0.02),
         11,
         11,
         0.15,
