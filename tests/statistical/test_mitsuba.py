@@ -16,6 +16,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from benchmarks.mitsuba_peer import mitsuba_scene
 from precompute.error_budget import Effort
 from precompute.scattering_orders import build_scattering_stack
 from render.camera import PinholeCamera, direction_from_angles, frame_volume
@@ -30,6 +31,7 @@ pytestmark = pytest.mark.slow
 ORDERS = 4
 BATCHES = 8
 MITSUBA_SAMPLES = 96
+NO_ROULETTE = 1000
 REFERENCE_SAMPLES = 32
 STACKS = 2
 LARGEST_DIFFERENCE = 0.01
@@ -86,61 +88,10 @@ def mitsuba() -> ModuleType:
     return module
 
 
-def mitsuba_scene(mi: ModuleType, case: Case, orders: int) -> object:
-    """The same cloud, camera and sun; a path of k scatterings has the depth k + 1 there."""
-    grid, view, transform = cumulus(), camera(64, 48), mi.ScalarTransform4f()
-    lower, extent = grid.lower.tolist(), (grid.upper - grid.lower).tolist()
-    medium = {
-        "type": "heterogeneous",
-        "albedo": {"type": "constvolume", "value": 1.0},
-        "sigma_t": {
-            "type": "gridvolume",
-            "grid": mi.VolumeGrid(grid.density.numpy()[..., None]),
-            "raw": True,
-            "filter_type": "trilinear",
-            "wrap_mode": "clamp",
-            "to_world": transform.translate(lower).scale(extent),
-        },
-        "scale": case.optical_depth / largest_optical_length(),
-        "phase": {"type": "hg", "g": case.asymmetry},
-    }
-    box = transform.translate(grid.centre.tolist()).scale([0.5 * edge for edge in extent])
-    film = {
-        "type": "hdrfilm",
-        "width": view.width,
-        "height": view.height,
-        "rfilter": {"type": "box"},
-        "pixel_format": "luminance",
-    }
-    sensor = {
-        "type": "perspective",
-        "fov": math.degrees(view.field_of_view),
-        "fov_axis": "y",
-        "near_clip": 1e-3 * grid.radius,
-        "far_clip": 1e2 * grid.radius,
-        "to_world": transform.look_at(origin=view.position, target=view.target, up=view.up),
-        "film": film,
-        "sampler": {"type": "independent"},
-    }
-    sun = {
-        "type": "directional",
-        "direction": [-component for component in SUN],
-        "irradiance": {"type": "rgb", "value": 1.0},
-    }
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "volpath", "max_depth": orders + 1, "rr_depth": 1000},
-            "sensor": sensor,
-            "sun": sun,
-            "cloud": {"type": "cube", "to_world": box, "bsdf": {"type": "null"}, "interior": medium},
-        }
-    )
-
-
 def mitsuba_images(mi: ModuleType, case: Case, orders: int) -> Tensor:
     """Independent images of orders 1..k `(batch, height, width)`."""
-    scene = mitsuba_scene(mi, case, orders)
+    extinction = case.optical_depth / largest_optical_length()
+    scene = mitsuba_scene(mi, cumulus(), camera(64, 48), SUN, extinction, case.asymmetry, orders, NO_ROULETTE)
     images = [np.array(mi.render(scene, spp=MITSUBA_SAMPLES, seed=seed)) for seed in range(BATCHES)]
     return torch.from_numpy(np.stack(images))[..., 0].double()
 
@@ -191,10 +142,14 @@ def compose_orders(stack: ScatteringStack, asymmetry: float, extinction: float) 
     """Mean images of orders 1..k `(order,)` as the stack composes them."""
     candidate = [torch.tensor([value]) for value in (asymmetry, extinction, 1.0)]
     means = []
-    for orders in range(1, ORDERS + 1):
-        tables = dataclasses.replace(stack.tables, multiple=stack.tables.multiple[: orders - 1])
+    for orders in range(2, ORDERS + 1):
+        traced = slice(orders - 1)
+        tables = dataclasses.replace(
+            stack.tables, multiple=stack.tables.multiple[traced], knots=stack.tables.knots[traced]
+        )
         layers = ScatteringStack(tables)(*candidate)
-        means.append((layers.single + layers.multiple).double().sum() / (tables.width * tables.height))
+        images = (layers.single, layers.single + layers.multiple) if orders == 2 else (layers.single + layers.multiple,)
+        means += [image.double().sum() / (tables.width * tables.height) for image in images]
     return torch.stack(means)
 
 
