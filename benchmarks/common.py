@@ -27,6 +27,7 @@ from cloudfit.scene_record import load_volume
 from precompute.error_budget import Effort
 from render.atomic_write import atomic_path
 from render.camera import frame_volume
+from render.density_grid import DensityGrid
 from render.procedural_cloud import build_cumulus
 from render.units import radians_from_degrees
 
@@ -217,10 +218,15 @@ def scene_of(arguments: argparse.Namespace, width: int, height: int) -> tuple[Sc
     if path is None and not arguments.quick and SHARED_VOLUME.exists():
         path = SHARED_VOLUME
     grid = build_cumulus(QUICK_RESOLUTION) if path is None and arguments.quick else load_volume(path)
-    sun = radians_from_degrees(SUN_AZIMUTH_DEG), radians_from_degrees(SUN_ELEVATION_DEG)
     name = "procedural cumulus" if path is None else path.stem
     z, y, x = grid.density.shape
-    return Scene(grid, path, frame_volume(grid, width=width, height=height), *sun), f"{name} ({x} x {y} x {z} voxels)"
+    return scene_with(grid, path, width, height), f"{name} ({x} x {y} x {z} voxels)"
+
+
+def scene_with(grid: DensityGrid, path: Path | None, width: int, height: int) -> Scene:
+    """A volume under the sun of the benchmarks."""
+    sun = radians_from_degrees(SUN_AZIMUTH_DEG), radians_from_degrees(SUN_ELEVATION_DEG)
+    return Scene(grid, path, frame_volume(grid, width=width, height=height), *sun)
 
 
 def tell_progress(message: str) -> None:

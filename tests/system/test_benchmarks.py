@@ -14,7 +14,9 @@ from benchmarks.__main__ import BENCHMARKS, main
 from benchmarks.common import harmonic_mean, peak_memory_mb, spread
 from benchmarks.front import Point, pareto_front
 from benchmarks.masks import compare
-from benchmarks.parameter_sets import varied
+from benchmarks.mitsuba_peer import PeerCost
+from benchmarks.parameter_sets import ParameterSet, varied
+from benchmarks.stack_peers import nodes_by_depth
 from benchmarks.synthetic_photograph import MIDDLE, draw_truth, photograph_by_path_tracing
 from cloudfit.scene import Scene
 from precompute import smoothing
@@ -66,6 +68,28 @@ def test_every_knob_of_a_stack_has_its_time_and_its_error(tmp_path: Path, capsys
     assert any(one["on_front"] for one in measured.values())
     assert "smoothing" in out
     assert (tmp_path / "tradeoff.png").stat().st_size > 0 < (tmp_path / "tradeoff.svg").stat().st_size
+
+
+def test_the_growth_of_a_stack_is_shown_with_its_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result, out = run_quick("stack", tmp_path, capsys, "--threads", "1")
+    builds = [build for row in result["growth"]["rows"] for build in row["builds"]]
+    assert all(build["seconds"] > 0.0 < build["error"] and build["peak_mb"] >= build["before_mb"] for build in builds)
+    if "skipped" not in result["loops"]:
+        assert result["loops"]["torch"]["paths"] == result["loops"]["fused"]["paths"]
+    assert "peers" in out
+    if "skipped" not in result["peers"]:
+        nodes = result["peers"]["charges"]["scalar_rgb"]
+        total = sum(node["nodes"] * node["at_stack_error"] for node in nodes)
+        assert result["peers"]["totals"]["scalar_rgb"]["at_stack_error_seconds"] == pytest.approx(total)
+
+
+def test_every_node_of_a_table_is_charged_once_and_noise_falls_with_the_root_of_the_work() -> None:
+    charged = nodes_by_depth(11, 7)
+    assert sum(charged) == 77
+    assert charged[0] > charged[2] > 0  # half of the depths are thin
+    peer = PeerCost("scalar_rgb", ParameterSet(0.0, 6.0, 1.0), 16, 9.0, 2.0, 0.1)
+    assert peer.seconds_for(0.1) == pytest.approx(2.0)
+    assert peer.seconds_for(0.01) == pytest.approx(200.0)
 
 
 def test_the_front_holds_what_nothing_beats() -> None:
