@@ -155,13 +155,13 @@ class TracedPixels:
         return pixels, radiance, variance
 
 
-Constant = tuple[ModuleType, str, object]
-"""A module, the name of a constant or function in it, and another value."""
+Constant = tuple[ModuleType | type, str, object]
+"""A module or class, the name of a constant or function in it, and another value."""
 
 
 @contextmanager
 def varied(constants: tuple[Constant, ...]) -> Iterator[None]:
-    """Within this block constants of modules have other values."""
+    """Within this block constants have other values."""
     before = [(module, name, getattr(module, name)) for module, name, _ in constants]
     try:
         for module, name, value in constants:

@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--quality", choices=QUALITIES, default="standard")
     parser.add_argument("--repeats", type=int, default=1, help="stacks of each row, with other seeds")
-    parser.add_argument("--loop-paths", type=int, default=300_000, help="that each kind of loop traces")
+    parser.add_argument("--loop-paths", type=int, default=1_500_000, help="that each kind of loop traces, about")
     parser.add_argument("--compiled", action="store_true", help="compare with torch.compile too; needs a C++ compiler")
     parser.add_argument("--variants", nargs="+", default=list(VARIANTS), help="of Mitsuba")
     parser.add_argument("--samples", type=int, default=16, help="paths a pixel of Mitsuba's images")
@@ -181,10 +181,7 @@ def _compare_loops(arguments: argparse.Namespace, pool: Executor) -> Outcome:
     effort = replace(base.quality.table_effort, paths=arguments.loop_paths, tolerance=None)
     task = replace(base, quality=replace(base.quality, table_effort=effort))
     costs: dict[str, BuildCost] = {}
-    notes = [
-        f"loops: about {arguments.loop_paths} paths, the same in all columns; a fused loop is kept where torch takes more than "
-        f"{KEPT_RATIO:g} times as long"
-    ]
+    notes = [f"loops: a fused loop is kept where torch takes more than {KEPT_RATIO:g} times as long"]
     for loops in LOOPS:
         if loops == "compiled" and not arguments.compiled:
             continue
@@ -201,6 +198,7 @@ def _compare_loops(arguments: argparse.Namespace, pool: Executor) -> Outcome:
     rows.append(["first use", *(cost.warm_up_seconds for cost in costs.values()), *[""] * (len(costs) - 1)])
     others = [name for name in costs if name != "fused"]
     columns = ("part", *(f"{name}, s" for name in costs), *(f"{name} / fused" for name in others))
+    notes.append(f"all loops trace the same {costs['fused'].paths} paths; at least four for each source point")
     notes += [_verdict(name, cost, costs["fused"]) for name, cost in costs.items() if name != "fused"]
     values = {name: asdict(cost) for name, cost in costs.items()}
     return Outcome(values, (make_table("The same paths in several loops", columns, rows),), tuple(notes))

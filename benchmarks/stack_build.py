@@ -17,23 +17,27 @@ from benchmarks.parameter_sets import (
     varied,
 )
 from cloudfit.quality import Quality
-from precompute import free_flight
+from cloudfit.scene import Scene
 from precompute.error_budget import Effort
 from precompute.scattering_orders import build_scattering_stack
 from render.fused import torch_loops_only
 from render.procedural_cloud import build_cumulus
 from render.scattering_stack import ScatteringStack, ScatteringTables
+from render.trilinear import TrilinearTable
 
-WARM_UP_SIDE = 16
+WARM_UP_SIZE = (32, 24)
 
 WARM_UP_EFFORT = Effort(4, 200, 2_000, 2)
 
 
 @contextmanager
 def _compiled() -> Iterator[None]:
-    """The torch loops, the march along a ray compiled."""
-    march = torch.compile(free_flight._march_block, dynamic=True)
-    with torch_loops_only(), varied(((free_flight, "_march_block", march),)):
+    """The torch loops, the trilinear look-up compiled: it takes most of their time, and has no shapes that depend on data.
+
+    Compiling the march itself was slower than not doing so: the number of rays under way changes with each step, and with it the code.
+    """
+    look_up = torch.compile(TrilinearTable._look_up_chunk, dynamic=True)
+    with torch_loops_only(), varied(((TrilinearTable, "_look_up_chunk", look_up),)):
         yield
 
 
@@ -71,7 +75,7 @@ class BuildCost:
 
     Args:
         seconds: to build.
-        warm_up_seconds: that a tiny stack took before: compilation, or loading what had been compiled.
+        warm_up_seconds: that a stack of few paths and pixels took before: compilation, or loading what had been compiled.
         before_mb, peak_mb: largest resident memory before the build, with the volume loaded, and at its end.
         table_mb: of the tables in memory.
         cloud_pixels: that the tables hold.
@@ -125,15 +129,14 @@ def build_and_compare(task: PeerTask) -> tuple[BuildCost, list[Disagreement]]:
 
 def _build(task: BuildTask) -> tuple[BuildCost, ScatteringTables]:
     set_threads(task.threads)
-    tiny = replace(
-        task, side=WARM_UP_SIDE, width=8, height=6, quality=replace(task.quality, table_effort=WARM_UP_EFFORT)
-    )
+    scene = scene_with(build_cumulus(task.side), None, task.width, task.height)
+    small = replace(scene, camera=scene.camera.resized(*WARM_UP_SIZE))
     with LOOPS[task.loops](), torch.no_grad():
         with stopwatch() as warm_up:
-            _build_tables(tiny)
+            _build_tables(small, task, WARM_UP_EFFORT)
         before = peak_memory_mb()
         with stopwatch() as seconds:
-            tables = _build_tables(task)
+            tables = _build_tables(scene, task, task.quality.table_effort)
     parts: dict[str, float] = {}
     for group in tables.groups:
         for part, spent in dict(group["seconds"]).items():  # type: ignore[call-overload]
@@ -153,8 +156,6 @@ def _build(task: BuildTask) -> tuple[BuildCost, ScatteringTables]:
     return cost, tables
 
 
-def _build_tables(task: BuildTask) -> ScatteringTables:
-    scene = scene_with(build_cumulus(task.side), None, task.width, task.height)
+def _build_tables(scene: Scene, task: BuildTask, effort: Effort) -> ScatteringTables:
     nodes = table_nodes(task.quality, largest_optical_length(scene.grid, scene.camera))
-    effort = task.quality.table_effort
     return build_scattering_stack(scene.grid, scene.camera, scene.sun_direction, *nodes, effort, task.seed)

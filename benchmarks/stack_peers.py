@@ -100,6 +100,8 @@ NOTES = (
     "peers: error is the relative RMS noise over the cloud pixels, for Mitsuba from the difference of two images, for the stack against "
     "the path tracer, though never less than a quarter of the path tracer's own noise; Mitsuba's depth is the stack's largest order "
     "plus one, its Russian roulette as it is by default, all threads the same",
+    "where light is scattered strongly forward, a few bright pixels make most of the noise, and two images tell it to within a factor of "
+    "two or so: compare the variants, which share their physics",
     "seconds for an error are seconds x (error / that error)^2; each node of the table counts as the measured one nearest in log depth",
     "one image of Mitsuba has one albedo, that of the stack any; this is not counted. A denoiser, which Mitsuba leaves to others, would "
     "help it, as smoothing helps the stack. Gradients, other lights and surfaces, which Mitsuba has, the stack has not",
