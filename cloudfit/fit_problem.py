@@ -29,6 +29,9 @@ FAINTEST_SHARE = 0.02
 SUNLIGHT_HEADROOM = 2.0
 """Brightest reachable grey over the photograph's: room for an albedo below one and for air in front."""
 
+DARKEST_ALBEDO = 0.8
+"""Of clouds that shall reach the photograph's brightest grey; for those that absorb more, no sunlight is looked for."""
+
 SUNLIGHT_SPAN = 1000.0
 """Strongest over weakest sunlight that is searched."""
 
@@ -110,17 +113,18 @@ def visible_share(optical_length: Tensor) -> Tensor:
 
 
 def brightest_radiance(stack: ScatteringStack) -> float:
-    """Radiance of the cloud's bright parts for unit sunlight and albedo one, at the asymmetry that is worst off.
+    """Radiance of the cloud's bright parts for unit sunlight and an albedo of 0.8, at the asymmetry that is worst off.
 
     The 95th percentile over the pixels is taken at each node, then the largest over extinction and the smallest over asymmetry: a
     thin cloud could only reach the same with a sun that no thick one needs.
     """
     tables = stack.tables
     rank = max(1, math.ceil(0.95 * len(tables.pixel)))
+    powers = DARKEST_ALBEDO**tables.knots
     brightest = []
     for number, asymmetry in enumerate(tables.asymmetry):
         phase = evaluate_phase_function(tables.cos_sun, asymmetry)
-        total = phase * tables.single + tables.multiple[:, number].sum(0)
+        total = DARKEST_ALBEDO * phase * tables.single + torch.einsum("k,ksp->sp", powers, tables.multiple[:, number])
         brightest.append(float(total.kthvalue(rank, dim=1).values.max()))
     return max(min(brightest), 1e-12)
 

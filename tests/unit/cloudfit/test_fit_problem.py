@@ -12,7 +12,7 @@ from render.scattering_stack import ScatteringStack
 from tests.support.small_scene import made_up_analysis, small_stack
 
 SKY = torch.tensor([0.1, 0.25, 0.6])
-TRUTH = torch.tensor([[0.8, 0.4, 0.7, 0.95, 0.2]])
+TRUTH = torch.tensor([[0.70, 0.4, 0.7, 0.95, 0.2]])
 
 
 def sky_image() -> Tensor:
