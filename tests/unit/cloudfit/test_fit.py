@@ -20,7 +20,8 @@ def test_a_photograph_of_the_same_cloud_is_matched_and_the_answers_are_ranked() 
         problem.analysis, small_scene(), small_stack(), OPTIONS, lambda stage, share: stages.append(stage)
     )
     random = problem.evaluate(torch.rand(20, 5, generator=torch.Generator().manual_seed(0)))
-    assert fit.candidates[0].promised_loss < 0.7 * float(random.min())
+    # One of the random points may be lucky; no more than that may be.
+    assert fit.candidates[0].promised_loss < min(float(random.min()), 0.25 * float(random.median()))
     assert [c.loss for c in fit.candidates] == sorted(c.loss for c in fit.candidates)
     assert fit.evaluations <= OPTIONS.evaluations + 20
     assert list(fit.history) == sorted(fit.history, reverse=True)
