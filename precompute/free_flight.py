@@ -53,30 +53,23 @@ def fly(grid: DensityGrid, position: Tensor, direction: Tensor, optical_length: 
     stride = step * float(grid.voxel_size.min())
     steps = torch.ceil((far - near) / stride).clamp_(min=1.0)
     length = (far - near) / steps
+    origin = grid.voxel_coordinates(position + near[:, None] * direction)
+    rate = direction / grid.voxel_size * length[:, None]
     if fused_loops_wanted(grid.density, position, direction, optical_length):
         from precompute.fused_flight import march_flights  # needs numba
 
-        origin = grid.voxel_coordinates(position + near[:, None] * direction)
-        rate = direction / grid.voxel_size * length[:, None]
-        collided, travelled, passed = march_flights(
-            grid.table.padded, origin, rate, length, steps, optical_length.expand_as(length)
-        )
+        target = optical_length.expand_as(length)
+        collided, travelled, passed = march_flights(grid.table.padded, origin, rate, length, steps, target)
     else:
-        collided, travelled, passed = _march_lanes(grid, position, direction, near, length, steps, optical_length)
+        collided, travelled, passed = _march_lanes(grid, origin, rate, length, steps, optical_length)
     return Flight(collided, position + (near + travelled)[:, None] * direction, passed)
 
 
 def _march_lanes(
-    grid: DensityGrid,
-    position: Tensor,
-    direction: Tensor,
-    near: Tensor,
-    length: Tensor,
-    steps: Tensor,
-    optical_length: Tensor,
+    grid: DensityGrid, origin: Tensor, rate: Tensor, length: Tensor, steps: Tensor, optical_length: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Which flights ended inside, the distance from the box's face until then, and the optical length passed."""
-    lanes = _Lanes.depart(grid, position, direction, near, length, steps, optical_length)
+    lanes = _Lanes.depart(grid, origin, rate, length, steps, optical_length)
     collided = torch.zeros(len(length), dtype=torch.bool, device=length.device)
     travelled, passed = torch.zeros_like(length), torch.zeros_like(length)
     first = 0
@@ -124,19 +117,11 @@ class _Lanes:
 
     @classmethod
     def depart(
-        cls,
-        grid: DensityGrid,
-        position: Tensor,
-        direction: Tensor,
-        near: Tensor,
-        length: Tensor,
-        steps: Tensor,
-        optical_length: Tensor,
+        cls, grid: DensityGrid, origin: Tensor, rate: Tensor, length: Tensor, steps: Tensor, optical_length: Tensor
     ) -> "_Lanes":
         """Flights that enter the volume, at their first sample."""
         index = torch.nonzero(length > 0).flatten()
-        origin = grid.voxel_coordinates(position[index] + near[index, None] * direction[index]).T.contiguous()
-        rate = (direction[index] / grid.voxel_size * length[index, None]).T.contiguous()
+        origin, rate = origin[index].T.contiguous(), rate[index].T.contiguous()
         density = grid.table.look_up(*origin)
         passed = torch.zeros_like(length[index])
         return cls(index, origin, rate, length[index], steps[index], passed, optical_length[index], density)
