@@ -9,15 +9,9 @@ the tolerance: the last twelfth is narrow forward lobes in thick clouds at albed
 from dataclasses import dataclass
 from enum import Enum
 
-import torch
 from torch import Tensor
-from torch.nn.functional import embedding_bag
 
-from precompute.gather import Lattice, Strata, gather_bags
-from precompute.smoothing import LevelErrors, measure_levels
-from precompute.view import View
 from render.errors import ParameterError
-from render.phase_functions import evaluate_phase_function
 
 ALBEDOS = (0.82, 0.86, 0.90, 0.94, 0.98)
 """Albedos at which errors are judged: midpoints of 0.8 to 1, the range of clouds."""
@@ -33,9 +27,6 @@ LEAST_GROWTH, MOST_GROWTH = 0.5, 7.0
 
 OMITTED_SHARE = 0.25
 """Of the tolerance that leaving out the highest orders may cost."""
-
-PROBE_RAYS = 4000
-"""Rays on which errors are estimated."""
 
 
 class StopReason(Enum):
@@ -140,93 +131,6 @@ def next_pass(effort: Effort, done: int, error: float, seconds: float, seconds_a
     return wanted
 
 
-@dataclass(frozen=True, eq=False)
-class NodeErrors:
-    """Errors at one extinction, with the best level of smoothing for each image.
-
-    Args:
-        level: which `(knot, asymmetry)`.
-        of_knots: relative RMS error of each image `(knot, asymmetry)`.
-        of_image: of the composed image `(albedo, asymmetry)`.
-    """
-
-    level: Tensor
-    of_knots: Tensor
-    of_image: Tensor
-
-
-class ErrorProbe:
-    """Estimates errors of a source on some of the rays.
-
-    Args:
-        view: of all rays.
-        lattice: of the source points.
-        entry: number of each lattice point among the source points `(lattice point,)` int32.
-        strata: of all rays.
-        single: single scattering `(extinction, ray)`.
-        asymmetry: nodes `(asymmetry,)`.
-        knots: exponents of the albedo `(knot,)`.
-        albedo: at which the composed image is judged `(albedo,)`.
-    """
-
-    def __init__(
-        self,
-        view: View,
-        lattice: Lattice,
-        entry: Tensor,
-        strata: Strata,
-        single: Tensor,
-        asymmetry: Tensor,
-        knots: Tensor,
-        albedo: Tensor,
-    ) -> None:
-        self.rays = probe_rays(len(view.pixel))
-        part = view.part(self.rays)
-        some = strata.part(self.rays)
-        self._bags: list[list[tuple[Tensor, Tensor]]] = [[] for _ in strata.opacity]
-        for bags in gather_bags(lattice, part.origin, part.direction, some):
-            self._bags[bags.extinction].append((entry[bags.numbers], bags.weights))
-        phase = evaluate_phase_function(part.direction @ view.sun, asymmetry[:, None])
-        self._single = (phase[:, None] * single[:, self.rays]).double()
-        self._albedo, self._powers = albedo.double(), albedo.double()[:, None] ** knots
-        self._shape = (2, len(knots), len(asymmetry))
-
-    def gather(self, node: int, source: Tensor) -> Tensor:
-        """Images `(ray, half, knot, asymmetry)` of a source `(point, column)` at one extinction."""
-        rows = [embedding_bag(bag, source, per_sample_weights=weights, mode="sum") for bag, weights in self._bags[node]]
-        return torch.cat(rows).unflatten(1, self._shape)
-
-    def measure(self, node: int, levels: list[Tensor]) -> NodeErrors:
-        """Errors at one extinction of a source `(point, column)` at every level of smoothing, the first without."""
-        images = [self.gather(node, level) for level in levels]
-        errors = measure_levels(images)
-        best = errors.total.argmin(0)
-        chosen = choose_levels(images, best)
-        power = images[-1].double().mean(1).square().mean(0)
-        of_knots = _relative(errors.total.gather(0, best[None])[0], power)
-        raw, smooth = (torch.einsum("ak,rhkg->arhg", self._powers, image.double()) for image in (images[0], chosen))
-        composed = LevelErrors.of(raw.movedim(0, -1), smooth.movedim(0, -1))
-        total = self._albedo[:, None, None] * self._single[:, node].movedim(0, -1) + smooth.mean(2)
-        return NodeErrors(best, of_knots, _relative(composed.total.T, total.square().mean(1)))
-
-
-def probe_rays(count: int) -> Tensor:
-    """Numbers of the rays on which errors are estimated, evenly spread."""
-    return torch.arange(count) if count <= PROBE_RAYS else torch.linspace(0, count - 1, PROBE_RAYS).long()
-
-
-def choose_levels(levels: list[Tensor], best: Tensor) -> Tensor:
-    """The best level of each column out of `(..., half, knot, asymmetry)` tensors, `best` `(knot, asymmetry)`."""
-    chosen = levels[0]
-    for number, level in enumerate(levels[1:], start=1):
-        chosen = torch.where(best == number, level, chosen)
-    return chosen
-
-
 def box_error(errors: Tensor) -> float:
     """Error that eleven of twelve combinations do not exceed."""
     return float(errors.flatten().double().quantile(MET_SHARE)) if errors.numel() else 0.0
-
-
-def _relative(square: Tensor, power: Tensor) -> Tensor:
-    return torch.where(power > 0, (square / power.clamp(min=1e-300)).sqrt(), 0.0)

@@ -27,8 +27,8 @@ Medium = tuple[Floats, Floats, float, float]
 """Densities; corners and voxel size of their box; marching step; farthest optical length to the sun."""
 Table = tuple[Floats, Floats, Doubles, Doubles, Doubles]
 """Asymmetries, their anchors and the odds of these; extinctions and their anchors, each with the logarithms as a second row."""
-Plan = tuple[Doubles, Doubles, Doubles, Doubles]
-"""Continuation, connection, sun lobe and shares of an `OrderPlan`."""
+Plan = tuple[Doubles, Doubles, Doubles]
+"""Continuation, connection and shares of an `OrderPlan`."""
 Points = tuple[Floats, Floats, Floats, NDArray[np.int64], NDArray[np.int64]]
 """Positions, directions, the sun's direction, numbers of paths, numbers of the first paths."""
 Sums = tuple[Doubles, Doubles, Doubles, Doubles, Doubles, Doubles]
@@ -36,7 +36,8 @@ Sums = tuple[Doubles, Doubles, Doubles, Doubles, Doubles, Doubles]
 
 GOLDEN, FIRST, SECOND = (np.uint64(factor) for factor in (GOLDEN_RATIO, FIRST_FACTOR, SECOND_FACTOR))
 S27, S30, S31, S41 = (np.uint64(places) for places in (27, 30, 31, 41))
-CONTINUATION, LOBE, COSINE, AZIMUTH, FLIGHT, CONNECTION = (int(draw) for draw in Draw)
+CONTINUATION, COSINE, AZIMUTH, FLIGHT, CONNECTION = (int(draw) for draw in list(Draw)[:5])
+BRANCH, BRANCH_COSINE, BRANCH_AZIMUTH, BRANCH_FLIGHT = (int(draw) for draw in list(Draw)[5:])
 DRAWS = len(Draw)
 ONE, TWO, HALF = np.float32(1.0), np.float32(2.0), np.float32(0.5)
 CELL = np.float32(2.0**-23)
@@ -136,28 +137,27 @@ def _fly(
 
 
 @njit(nogil=True, cache=True)
-def _scatter(
-    cosine: float,
-    cosine_sun: float,
-    sun_lobe: float,
-    nodes: Floats,
-    anchors: Floats,
-    odds: Doubles,
-    product: Doubles,
-    density: Doubles,
-) -> float:
-    """Multiply one scattering into the products; return the density of all anchors. All are scaled by the largest density."""
+def _sampled(cosine: float, cosine_sun: float, anchors: Floats, odds: Doubles, density: Doubles) -> float:
+    """Density of all anchors with which a leg or a branch takes a direction, after the legs before it."""
+    mean = 0.0
+    for a in range(len(anchors)):
+        branch = anchors[a] * anchors[a] * _phase(cosine_sun, anchors[a])
+        mean += odds[a] * density[a] * (_phase(cosine, anchors[a]) + branch)
+    return mean
+
+
+@njit(nogil=True, cache=True)
+def _scatter(cosine: float, nodes: Floats, anchors: Floats, product: Doubles, density: Doubles) -> None:
+    """Multiply one scattering into the products, all scaled by the largest density."""
     largest = 0.0
     for a in range(len(anchors)):
-        density[a] *= (1.0 - sun_lobe) * _phase(cosine, anchors[a]) + sun_lobe * _phase(cosine_sun, anchors[a])
+        density[a] *= _phase(cosine, anchors[a])
         largest = max(largest, density[a])
-    scale, mean = 1.0 / largest, 0.0
+    scale = 1.0 / largest
     for a in range(len(anchors)):
         density[a] *= scale
-        mean += odds[a] * density[a]
     for g in range(len(nodes)):
         product[g] *= _phase(cosine, nodes[g]) * scale
-    return mean
 
 
 @njit(nogil=True, cache=True)
@@ -184,15 +184,53 @@ def _deposit(share: float, of_g: Doubles, of_s: Doubles, sums: Doubles, squares:
             squares[g, s] += value * value
 
 
+@njit(nogil=True, cache=True, inline="always")
+def _cosine(one: Vector, other: Vector) -> float:
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _add_vertex(
+    medium: Medium,
+    table: Table,
+    shares: Doubles,
+    order: int,
+    position: Vector,
+    leg: tuple[Vector, float, float],
+    sun: Vector,
+    reached: float,
+    sums: Sums,
+) -> None:
+    """Connect a vertex to the sun and add its weights.
+
+    Args:
+        leg: direction of the last one, its cosine with the one before, and the optical length of all.
+        reached: probability of having come so far and of being connected.
+    """
+    values, box, stride, farthest = medium
+    asymmetry, asymmetry_anchors, odds, extinction, extinction_anchors = table
+    of_node, of_square, product, density, of_g, of_s = sums
+    turned, cosine, passed = leg
+    cosine_sun = _cosine(sun, turned)
+    weight = 1.0 / (_sampled(cosine, cosine_sun, asymmetry_anchors, odds, density) * reached)
+    for g in range(len(asymmetry)):
+        of_g[g] = product[g] * _phase(cosine, asymmetry[g]) * _phase(cosine_sun, asymmetry[g]) * weight
+    sun_length = _fly(values, box, stride, position, sun, farthest)[2]
+    _connect(order, passed, sun_length, extinction, extinction_anchors, of_s)
+    for knot in range(len(shares)):
+        if shares[knot] != 0.0:
+            _deposit(shares[knot], of_g, of_s, of_node[knot], of_square[knot])
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def _trace_path(
     medium: Medium, table: Table, plan: Plan, position: Vector, direction: Vector, sun: Vector, key: int, sums: Sums
 ) -> None:
     """Follow one path and add its weights to the sums `(knot, asymmetry, extinction)`."""
-    values, box, stride, farthest = medium
-    asymmetry, asymmetry_anchors, odds, extinction, extinction_anchors = table
-    continuation, connection, sun_lobe, shares = plan
-    of_node, of_square, product, density, of_g, of_s = sums
+    values, box, stride, _ = medium
+    asymmetry, asymmetry_anchors, odds, _, extinction_anchors = table
+    continuation, connection, shares = plan
+    product, density = sums[2], sums[3]
     product[:], density[:] = 1.0, 1.0
     lobe = asymmetry_anchors[_choose(_uniform(key, ASYMMETRY_DRAW), odds)]
     thickness = extinction_anchors.shape[1]
@@ -202,28 +240,27 @@ def _trace_path(
         dimension = 2 + DRAWS * (order - 2)
         if not _uniform(key, dimension + CONTINUATION) < continuation[order - 2]:
             return
-        axis = sun if _uniform(key, dimension + LOBE) < sun_lobe[order - 2] else direction
-        turned = _turn(axis, lobe, _uniform(key, dimension + COSINE), _uniform(key, dimension + AZIMUTH))
+        reached *= continuation[order - 2]
+        linked, share = reached * connection[order - 2], shares[order - 2]
+        if _uniform(key, dimension + BRANCH) < connection[order - 2] * lobe * lobe:
+            first, second = _uniform(key, dimension + BRANCH_COSINE), _uniform(key, dimension + BRANCH_AZIMUTH)
+            turned = _turn(sun, lobe, first, second)
+            target = -np.float32(math.log(_uniform(key, dimension + BRANCH_FLIGHT))) / anchor
+            hit, end, used = _fly(values, box, stride, position, turned, target)
+            if hit:
+                leg = (turned, _cosine(direction, turned), passed + used)
+                _add_vertex(medium, table, share, order, end, leg, sun, linked, sums)
+        turned = _turn(direction, lobe, _uniform(key, dimension + COSINE), _uniform(key, dimension + AZIMUTH))
         target = -np.float32(math.log(_uniform(key, dimension + FLIGHT))) / anchor
         hit, position, used = _fly(values, box, stride, position, turned, target)
         if not hit:
             return
-        reached *= continuation[order - 2]
         passed += used
-        cosine = direction[0] * turned[0] + direction[1] * turned[1] + direction[2] * turned[2]
-        cosine_sun = sun[0] * turned[0] + sun[1] * turned[1] + sun[2] * turned[2]
+        cosine = _cosine(direction, turned)
+        if _uniform(key, dimension + CONNECTION) < connection[order - 2]:
+            _add_vertex(medium, table, share, order, position, (turned, cosine, passed), sun, linked, sums)
+        _scatter(cosine, asymmetry, asymmetry_anchors, product, density)
         direction = turned
-        mean = _scatter(cosine, cosine_sun, sun_lobe[order - 2], asymmetry, asymmetry_anchors, odds, product, density)
-        if not _uniform(key, dimension + CONNECTION) < connection[order - 2]:
-            continue
-        weight = 1.0 / (mean * reached * connection[order - 2])
-        for g in range(len(asymmetry)):
-            of_g[g] = product[g] * _phase(cosine_sun, asymmetry[g]) * weight
-        sun_length = _fly(values, box, stride, position, sun, farthest)[2]
-        _connect(order, passed, sun_length, extinction, extinction_anchors, of_s)
-        for knot in range(shares.shape[1]):
-            if shares[order - 2, knot] != 0.0:
-                _deposit(shares[order - 2, knot], of_g, of_s, of_node[knot], of_square[knot])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -240,7 +277,7 @@ def _trace_points(
 ) -> None:
     """Means over the paths of each point, into `source` `(extinction, point, half, knot, asymmetry)`, and sums of squares."""
     position, direction, sun, counts, counters = points
-    knots, lobes, thickness = plan[3].shape[1], len(table[0]), table[3].shape[1]
+    knots, lobes, thickness = plan[2].shape[1], len(table[0]), table[3].shape[1]
     product, density = np.empty(lobes), np.empty(len(table[1]))
     of_g, of_s = np.empty(lobes), np.empty(thickness)
     means = np.empty((knots, lobes, thickness))
@@ -277,7 +314,6 @@ def trace_paths(
     extinction_anchors: Tensor,
     continuation: Tensor,
     connection: Tensor,
-    sun_lobe: Tensor,
     shares: Tensor,
     stream: int,
 ) -> tuple[Tensor, Tensor]:
@@ -293,7 +329,7 @@ def trace_paths(
         counts: paths of each point `(point,)`, even.
         counters: number of each point's first path `(point,)`.
         asymmetry, asymmetry_anchors, asymmetry_odds, extinction, extinction_anchors: see `TableNodes`.
-        continuation, connection, sun_lobe, shares: see `OrderPlan`.
+        continuation, connection, shares: see `OrderPlan`.
         stream: from `stream_number`.
 
     Returns:
@@ -311,7 +347,7 @@ def trace_paths(
         _with_logarithm(extinction),
         _with_logarithm(extinction_anchors),
     )
-    plan = (continuation.numpy(), connection.numpy(), sun_lobe.numpy(), shares.numpy())
+    plan = (continuation.numpy(), connection.numpy(), shares.numpy())
     points = tuple(tensor.contiguous().numpy() for tensor in (position, direction, sun_direction, counts, counters))
     out, of_chunk = source.numpy(), squares.numpy()
 

@@ -21,11 +21,6 @@ SEPARATE_ORDERS = 4
 EXACT_SHARE = 0.3
 """albedo^a at the second albedo for which the sharing is exact."""
 
-SUN_LOBE = ((4, 0.3), (10, 0.1))
-"""Largest orders and shares of directions drawn around the sun's own direction: 0.3 cut the noise at g = 0.9 under side light to a sixth.
-Each scattering at which the path's own lobe is drawn with a probability 1 - p only may multiply the variance by 1 / (1 - p), so for high
-orders, whose light comes from everywhere, it does harm: 0.3 throughout made order 66 a thousand times noisier."""
-
 DENSE_ORDERS, CONNECTION = 6, 0.3
 """Up to this order every vertex is connected to the sun, then one in three: neighbours along a path know nearly the same."""
 
@@ -44,15 +39,13 @@ class OrderPlan:
         knots: exponents of the albedo, one an image; the first is two, the last the largest order.
         shares: weight of each order's contribution to each knot's image `(order, knot)`, order two first.
         continuation: probability to go on to each order `(order,)`.
-        connection: probability to connect a vertex of each order to the sun `(order,)`.
-        sun_lobe: share of the directions that are drawn around the sun's on the way to each order `(order,)`.
+        connection: probability to connect a vertex of each order, and a branch, to the sun `(order,)`.
     """
 
     knots: tuple[int, ...]
     shares: Tensor
     continuation: Tensor
     connection: Tensor
-    sun_lobe: Tensor
 
     @property
     def largest_order(self) -> int:
@@ -79,13 +72,8 @@ def plan_orders(largest_order: int) -> OrderPlan:
             shares[row, upper - 1], shares[row, upper] = weight, 1.0 - weight
         if order - 1 >= SEPARATE_ORDERS and order - 1 in knots:
             continuation[row] = CONTINUATION
-    sun_lobe = torch.tensor([_sun_lobe(order) for order in orders], dtype=torch.float64)
     connection = torch.tensor([1.0 if order <= DENSE_ORDERS else CONNECTION for order in orders], dtype=torch.float64)
-    return OrderPlan(tuple(knots), shares, continuation, connection, sun_lobe)
-
-
-def _sun_lobe(order: int) -> float:
-    return next((share for last, share in SUN_LOBE if order <= last), 0.0)
+    return OrderPlan(tuple(knots), shares, continuation, connection)
 
 
 def close_tail(plan: OrderPlan, energy: Tensor) -> tuple[Tensor, Tensor]:

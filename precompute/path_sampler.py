@@ -6,19 +6,20 @@ order k at that point, for any node (g, s) of the table, is a product of a facto
     prod_i HG(c_i; g) HG(c_sun; g)    *    s^(k-1) exp(-s (U + u_sun))
 
 c_i are the cosines of the k-1 scatterings up to the last vertex, U the optical length of the legs, u_sun that from the last vertex to
-the sun. A path draws one asymmetry anchor g_a and one extinction anchor s_b, and each direction with probability p from the lobe
-around the sun's direction of travel instead of its own. It is weighed with the density of the whole mixture (Veach & Guibas 1995, the
-balance heuristic), so each factor is bounded by the number of its anchors and nothing depends on the anchor drawn:
+the sun. A path draws one asymmetry anchor g_a and one extinction anchor s_b. A narrow forward lobe seldom meets the sun, so before each
+leg the path sends out, with probability g_a^2, a branch of one leg in a direction drawn from the lobe around the sun's. Leg and
+branch are two samples of the same vertex and are weighed together, over all anchors (Veach & Guibas 1995, the balance heuristic):
 
-    G = prod_i HG(c_i; g) / sum_a w_a prod_i [(1-p) HG(c_i; g_a) + p HG(c'_i; g_a)]  * HG(c_sun; g)
+    G = prod_i HG(c_i; g) HG(c_sun; g) / sum_a w_a prod_(i < k-1) HG(c_i; g_a) [ HG(c_(k-1); g_a) + g_a^2 HG(c'; g_a) ]
     S = s^(k-1) exp(-s U) / mean_b s_b^(k-1) exp(-s_b U)  * exp(-s u_sun)
 
-c'_i is the cosine between the new direction and the sun. All densities are kept as logarithms.
+c' is the cosine between the last leg and the sun. Nothing depends on the anchor drawn, each factor is bounded by the number of its
+anchors, and no branch goes on, so that the bound does not grow with the order. All densities are kept as logarithms.
 """
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 
 import torch
@@ -75,14 +76,17 @@ class VertexWeights:
 
 
 class Draw(IntEnum):
-    """Which random number of a path is used for what: those of order k follow at 2 + 6 (k - 2)."""
+    """Which random number of a path is used for what: those of order k follow at 2 + 9 (k - 2)."""
 
     CONTINUATION = 0
-    LOBE = 1
-    COSINE = 2
-    AZIMUTH = 3
-    FLIGHT = 4
-    CONNECTION = 5
+    COSINE = 1
+    AZIMUTH = 2
+    FLIGHT = 3
+    CONNECTION = 4
+    BRANCH = 5
+    BRANCH_COSINE = 6
+    BRANCH_AZIMUTH = 7
+    BRANCH_FLIGHT = 8
 
     def of_order(self, order: int) -> int:
         """Dimension of this number at a scattering order."""
@@ -90,6 +94,91 @@ class Draw(IntEnum):
 
 
 ASYMMETRY_DRAW, EXTINCTION_DRAW = 0, 1
+
+LEG_DRAWS = (Draw.COSINE, Draw.AZIMUTH, Draw.FLIGHT)
+BRANCH_DRAWS = (Draw.BRANCH_COSINE, Draw.BRANCH_AZIMUTH, Draw.BRANCH_FLIGHT)
+
+
+@dataclass(frozen=True, eq=False)
+class _Paths:
+    """Paths at a vertex.
+
+    Args:
+        path: their numbers in the batch `(path,)`.
+        position, direction: of the vertex and of the leg to it `(path, 3)`.
+        log_phase: of the scatterings so far `(path, asymmetry)`.
+        log_density: of the directions of all legs, if every one was a leg of the path itself `(path, anchor)`.
+        log_sampled: the same with the branch as a second sample of the last one `(path, anchor)`.
+        passed: optical length of the legs `(path,)` [m].
+    """
+
+    path: Tensor
+    position: Tensor
+    direction: Tensor
+    log_phase: Tensor
+    log_density: Tensor
+    log_sampled: Tensor
+    passed: Tensor
+
+    def keep(self, rows: Tensor) -> "_Paths":
+        """Some of the paths."""
+        return _Paths(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracer:
+    """What a batch of paths is traced through and with; arguments as of `sample_paths`."""
+
+    grid: DensityGrid
+    sun: Tensor
+    nodes: TableNodes
+    step: float
+    keys: Tensor
+    asymmetry: Tensor
+    extinction: Tensor
+
+    def depart(self, position: Tensor, direction: Tensor) -> _Paths:
+        """Paths at their start points."""
+        count = len(position)
+        density = torch.zeros(count, len(self.nodes.asymmetry_anchors))
+        phase = torch.zeros(count, len(self.nodes.asymmetry))
+        return _Paths(torch.arange(count), position, direction, phase, density, density, torch.zeros(count))
+
+    def happens(self, paths: _Paths, draw: Draw, order: int, probability: Tensor | float) -> Tensor:
+        """Which paths do something that has a probability `(path,)` bool."""
+        return counter_uniform(self.keys[paths.path], draw.of_order(order)) < probability
+
+    def advance(self, paths: _Paths, axis: Tensor, order: int, draws: tuple[Draw, Draw, Draw]) -> _Paths:
+        """Follow one leg, its direction drawn around an axis `(path, 3)`; the paths that end in a vertex inside."""
+        key = self.keys[paths.path]
+        uniform = [counter_uniform(key, draw.of_order(order)) for draw in draws]
+        cosine = sample_phase_cosine(self.asymmetry[paths.path], uniform[0])
+        turned = rotate_direction(axis, cosine, 2.0 * math.pi * uniform[1])
+        flight = fly(self.grid, paths.position, turned, -uniform[2].log() / self.extinction[paths.path], self.step)
+        kept = torch.nonzero(flight.collided).flatten()
+        before, direction = paths.keep(kept), turned[kept]
+        cosine = (before.direction * direction).sum(1, keepdim=True)
+        anchors = self.nodes.asymmetry_anchors
+        own = evaluate_phase_function(cosine, anchors)
+        branch = branch_probability(anchors) * evaluate_phase_function((direction @ self.sun)[:, None], anchors)
+        return _Paths(
+            before.path,
+            flight.position[kept],
+            direction,
+            before.log_phase + _log_phase(cosine, self.nodes.asymmetry),
+            before.log_density + own.log(),
+            before.log_density + (own + branch).log(),
+            before.passed + flight.optical_length[kept],
+        )
+
+    def connect(self, paths: _Paths, order: int, probability: float) -> VertexWeights:
+        """Weights of vertices that are connected to the sun; `probability` is that of having come there and being connected."""
+        log_phase = paths.log_phase + _log_phase((paths.direction @ self.sun)[:, None], self.nodes.asymmetry)
+        log_sampled = torch.logsumexp(paths.log_sampled + self.nodes.asymmetry_odds.log().float(), dim=1, keepdim=True)
+        of_extinction = _extinction_factor(
+            self.grid, order, paths.position, self.sun, self.nodes, paths.passed, self.step
+        )
+        return VertexWeights(order, paths.path, (log_phase - log_sampled).exp(), of_extinction / probability)
 
 
 def sample_paths(
@@ -115,44 +204,28 @@ def sample_paths(
         keys: of the paths' random numbers `(path,)`, from `counter_keys`.
 
     Yields:
-        Weights for order 2, 3, ...; paths that have left the volume or were not continued are missing and count as zero.
+        Weights for order 2, 3, ..., of the ends of branches and of the paths' own vertices by turns; paths that have left the
+        volume or were not continued are missing and count as zero.
     """
-    count = len(position)
-    odds = nodes.asymmetry_odds
-    asymmetry_anchor = _choose(nodes.asymmetry_anchors, odds, counter_uniform(keys, ASYMMETRY_DRAW))
     even = torch.full_like(nodes.extinction_anchors, 1.0 / len(nodes.extinction_anchors), dtype=torch.float64)
-    extinction_anchor = _choose(nodes.extinction_anchors, even, counter_uniform(keys, EXTINCTION_DRAW))
-    log_phase = torch.zeros(count, len(nodes.asymmetry))
-    log_density = torch.zeros(count, len(nodes.asymmetry_anchors))
-    passed, reached = torch.zeros(count), 1.0
-    path = torch.arange(count)
-    for order, (probability, connection, sun_lobe) in enumerate(
-        zip(plan.continuation.tolist(), plan.connection.tolist(), plan.sun_lobe.tolist(), strict=True), start=2
+    asymmetry = _choose(nodes.asymmetry_anchors, nodes.asymmetry_odds, counter_uniform(keys, ASYMMETRY_DRAW))
+    extinction = _choose(nodes.extinction_anchors, even, counter_uniform(keys, EXTINCTION_DRAW))
+    tracer = _Tracer(grid, sun_direction, nodes, step, keys, asymmetry, extinction)
+    paths, reached = tracer.depart(position, direction), 1.0
+    for order, (continuation, connection) in enumerate(
+        zip(plan.continuation.tolist(), plan.connection.tolist(), strict=True), start=2
     ):
-        going_on = torch.nonzero(counter_uniform(keys[path], Draw.CONTINUATION.of_order(order)) < probability).flatten()
-        key, start, heading = keys[path[going_on]], position[going_on], direction[going_on]
-        turned = _draw_direction(heading, sun_direction, asymmetry_anchor[path[going_on]], key, order, sun_lobe)
-        target = -counter_uniform(key, Draw.FLIGHT.of_order(order)).log() / extinction_anchor[path[going_on]]
-        flight = fly(grid, start, turned, target, step)
-        collided = torch.nonzero(flight.collided).flatten()
-        kept = going_on[collided]
-        if len(kept) == 0:
+        paths = paths.keep(tracer.happens(paths, Draw.CONTINUATION, order, continuation))
+        reached *= continuation
+        odds = connection * branch_probability(asymmetry[paths.path].double())
+        branching = paths.keep(tracer.happens(paths, Draw.BRANCH, order, odds))
+        branches = tracer.advance(branching, sun_direction.expand_as(branching.direction), order, BRANCH_DRAWS)
+        yield tracer.connect(branches, order, reached * connection)
+        paths = tracer.advance(paths, paths.direction, order, LEG_DRAWS)
+        if len(paths.path) == 0:
             return
-        reached *= probability
-        direction, position, path = turned[collided], flight.position[collided], path[kept]
-        cosine = (heading[collided] * direction).sum(1, keepdim=True)
-        log_phase = log_phase[kept] + _log_phase(cosine, nodes.asymmetry)
-        log_density = log_density[kept] + _log_mixture(
-            cosine, direction @ sun_direction, nodes.asymmetry_anchors, sun_lobe
-        )
-        passed = passed[kept] + flight.optical_length[collided]
-        connected = counter_uniform(keys[path], Draw.CONNECTION.of_order(order)) < connection
-        of_asymmetry = log_phase + _log_phase((direction @ sun_direction)[:, None], nodes.asymmetry)
-        of_asymmetry = (of_asymmetry - torch.logsumexp(log_density + odds.log().float(), dim=1, keepdim=True)).exp()
-        of_extinction = _extinction_factor(
-            grid, order, position[connected], sun_direction, nodes, passed[connected], step
-        )
-        yield VertexWeights(order, path[connected], of_asymmetry[connected], of_extinction / (reached * connection))
+        connected = paths.keep(tracer.happens(paths, Draw.CONNECTION, order, connection))
+        yield tracer.connect(connected, order, reached * connection)
 
 
 def _extinction_factor(
@@ -172,32 +245,18 @@ def _extinction_factor(
     return (log_flights - _log_mean_exp(log_anchors)).exp()
 
 
+def branch_probability(asymmetry: Tensor) -> Tensor:
+    """Of sending out a branch at a vertex: for isotropic scattering it would be one more of the same."""
+    return asymmetry**2
+
+
 def _choose(anchors: Tensor, odds: Tensor, uniform: Tensor) -> Tensor:
     return anchors[torch.searchsorted(odds.cumsum(0)[:-1], uniform.double(), right=True)]
-
-
-def _draw_direction(
-    direction: Tensor, sun_direction: Tensor, asymmetry: Tensor, keys: Tensor, order: int, sun_lobe: float
-) -> Tensor:
-    """New directions from the lobe around the path's own direction or, with a given probability, around the sun's.
-
-    A path is traced against the light, so the direction in which it would meet the light head on is the one towards the sun.
-    """
-    towards_sun = counter_uniform(keys, Draw.LOBE.of_order(order)) < sun_lobe
-    axis = torch.where(towards_sun[:, None], sun_direction, direction)
-    cosine = sample_phase_cosine(asymmetry, counter_uniform(keys, Draw.COSINE.of_order(order)))
-    return rotate_direction(axis, cosine, 2.0 * math.pi * counter_uniform(keys, Draw.AZIMUTH.of_order(order)))
 
 
 def _log_phase(cosine: Tensor, asymmetry: Tensor) -> Tensor:
     """Logarithm of the phase function `(path, node)` for cosines `(path, 1)`."""
     return evaluate_phase_function(cosine, asymmetry).log()
-
-
-def _log_mixture(cosine: Tensor, cosine_sun: Tensor, anchors: Tensor, sun_lobe: float) -> Tensor:
-    """Logarithm of each anchor's density of a direction `(path, anchor)` [1/sr]."""
-    own = (1.0 - sun_lobe) * evaluate_phase_function(cosine, anchors)
-    return (own + sun_lobe * evaluate_phase_function(cosine_sun[:, None], anchors)).log()
 
 
 def _log_mean_exp(values: Tensor) -> Tensor:

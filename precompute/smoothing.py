@@ -9,6 +9,7 @@ paths (Rousselle, Knaus & Zwicker 2012, "Adaptive rendering with non-local means
     noise^2 = mean (A' - B')^2 / 4,        bias^2 = mean (A' - A)(B' - B),
 
 the noise of A and B drops out of the second on average since they have none in common. The level with the smallest sum is taken.
+What is smoothed is not the source itself but its difference from a model, see `source_model`, which each half fits for itself.
 """
 
 from collections.abc import Iterator
@@ -39,15 +40,16 @@ class Neighbourhood:
     axes: tuple[tuple[tuple[Tensor, Tensor], ...], ...]
     paths: Tensor
 
-    def levels(self, source: Tensor) -> Iterator[Tensor]:
-        """The source, then smoothed ever more; all `(point, column)`."""
+    def levels(self, source: Tensor, expected: Tensor) -> Iterator[Tensor]:
+        """The source, then its difference from what is expected ever more smoothed, then what is expected; all `(point, column)`."""
         yield source
-        weighted, weight = source * self.paths, self.paths
+        weighted, weight = (source - expected) * self.paths, self.paths
         for axes in self.axes:
             for neighbours, taps in axes:
                 weighted = embedding_bag(neighbours, weighted, per_sample_weights=taps, mode="sum")
                 weight = embedding_bag(neighbours, weight, per_sample_weights=taps, mode="sum")
-            yield weighted / weight
+            yield expected + weighted / weight
+        yield expected
 
 
 def find_neighbours(lattice: Lattice, numbers: Tensor, paths: Tensor) -> Neighbourhood:

@@ -6,7 +6,7 @@ step and its own set of paths for all of its nodes.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -16,20 +16,18 @@ from torch.nn.functional import embedding_bag
 from precompute.error_budget import (
     OMITTED_SHARE,
     Effort,
-    ErrorProbe,
     GroupReport,
-    NodeErrors,
     StopReason,
     box_error,
-    choose_levels,
     next_pass,
-    probe_rays,
 )
+from precompute.error_probe import ErrorProbe, SmoothSource, probe_rays
 from precompute.gather import Lattice, Strata, gather_bags, lattice_over, stratify_rays
 from precompute.order_plan import OrderPlan, plan_orders
 from precompute.path_sampler import TableNodes
 from precompute.single_scattering import compute_single_scattering
 from precompute.smoothing import find_neighbours
+from precompute.source_model import SourceModel, Surroundings, measure_surroundings
 from precompute.source_points import SourceTable, allocate_paths
 from precompute.view import View
 from render.phase_functions import evaluate_phase_function
@@ -164,8 +162,11 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     entry[table.numbers] = torch.arange(len(table.numbers), dtype=torch.int32)
     knots = torch.tensor(plan.knots)
     probe = ErrorProbe(view, lattice, entry, strata, single, task.asymmetry, knots, task.albedo)
-    reason = _add_passes(task, table, importance, probe, clock, report)
-    multiple, errors = _gather(view, lattice, entry, strata, table, probe)
+    surroundings = measure_surroundings(view.grid, view.camera, view.sun, lattice.positions(table.numbers))
+    clock.lap("source model")
+    smoother = _Smoother(table, probe, surroundings, task.extinction)
+    reason = _add_passes(task, table, importance, smoother, clock, report)
+    multiple, errors = _gather(view, lattice, entry, strata, smoother)
     clock.lap("images")
     report(1.0)
     image_error = torch.stack([one.of_image for one in errors], dim=2)
@@ -181,11 +182,26 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     )
 
 
+class _Smoother:
+    """Smooths what a table holds at the time."""
+
+    def __init__(self, table: SourceTable, probe: ErrorProbe, surroundings: Surroundings, extinction: Tensor) -> None:
+        self._table, self._probe, self._surroundings, self._extinction = table, probe, surroundings, extinction
+
+    def every_node(self) -> Iterator[SmoothSource]:
+        """The source at each extinction."""
+        table = self._table
+        neighbours = find_neighbours(table.lattice, table.numbers, table.paths)
+        for node, source in enumerate(table.source):
+            model = SourceModel(self._surroundings.features(float(self._extinction[node])), table.paths)
+            yield self._probe.smooth(node, source, neighbours, model)
+
+
 def _add_passes(
     task: GroupTask,
     table: SourceTable,
     importance: Tensor,
-    probe: ErrorProbe,
+    smoother: _Smoother,
     clock: _Clock,
     report: Callable[[float], None],
 ) -> StopReason:
@@ -196,11 +212,7 @@ def _add_passes(
             return StopReason.FIXED
         if done >= task.effort.paths:
             return StopReason.PATHS
-        neighbours = find_neighbours(table.lattice, table.numbers, table.paths)
-        errors = [
-            probe.measure(node, list(neighbours.levels(source.flatten(1)))).of_image
-            for node, source in enumerate(table.source)
-        ]
+        errors = [smooth.of_image for smooth in smoother.every_node()]
         clock.lap("smoothing")
         following = next_pass(
             task.effort, done, box_error(torch.stack(errors)), clock.total, clock.seconds["paths"] / max(done, 1)
@@ -216,22 +228,20 @@ def _add_passes(
 
 
 def _gather(
-    view: View, lattice: Lattice, entry: Tensor, strata: Strata, table: SourceTable, probe: ErrorProbe
-) -> tuple[Tensor, list[NodeErrors]]:
+    view: View, lattice: Lattice, entry: Tensor, strata: Strata, smoother: _Smoother
+) -> tuple[Tensor, list[SmoothSource]]:
     """Smoothed images `(knot, asymmetry, extinction, pixel)`, and their errors at each extinction."""
-    neighbours = find_neighbours(lattice, table.numbers, table.paths)
-    shape = table.source.shape
-    images = torch.empty(shape[3], shape[4], shape[0], len(view.pixel))
-    errors = []
-    for node, source in enumerate(table.source):
-        levels = list(neighbours.levels(source.flatten(1)))
-        errors.append(probe.measure(node, levels))
-        chosen = choose_levels([level.unflatten(1, shape[2:]) for level in levels], errors[-1].level)
-        columns = chosen.mean(1).flatten(1)
+    images, errors = [], []
+    for node, smooth in enumerate(smoother.every_node()):
+        columns, shape = smooth.source.flatten(1), smooth.source.shape[1:]
+        image = torch.empty(*shape, len(view.pixel))
         for bags in gather_bags(lattice, view.origin, view.direction, strata.at(node)):
             rows = embedding_bag(entry[bags.numbers], columns, per_sample_weights=bags.weights, mode="sum")
-            images[:, :, node, bags.rays] = rows.unflatten(1, shape[3:]).movedim(0, -1)
-    return images, errors
+            # The model may fall below zero where it is dark.
+            image[:, :, bags.rays] = rows.unflatten(1, shape).movedim(0, -1).clamp_(min=0.0)
+        images.append(image)
+        errors.append(smooth)
+    return torch.stack(images, dim=2), errors
 
 
 @dataclass(frozen=True, eq=False)

@@ -206,7 +206,6 @@ def _trace_batch_fused(
         nodes.extinction_anchors,
         plan.continuation,
         plan.connection,
-        plan.sun_lobe,
         plan.shares,
         stream,
     )

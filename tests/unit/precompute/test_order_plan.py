@@ -53,7 +53,7 @@ def test_distances_of_the_knots_double(largest: int) -> None:
     assert plan.knots == KNOTS[largest]
     assert plan.largest_order == largest
     assert plan.shares.shape == (largest - 1, len(plan.knots))
-    assert plan.continuation.shape == plan.connection.shape == plan.sun_lobe.shape == (largest - 1,)
+    assert plan.continuation.shape == plan.connection.shape == (largest - 1,)
 
 
 @pytest.mark.parametrize("largest", KNOTS)
@@ -125,10 +125,6 @@ def test_fewer_paths_go_on_and_fewer_vertices_are_connected_beyond_the_first_kno
     connected = plan.connection.tolist()
     assert connected[: DENSE_ORDERS - 1] == [1.0] * (DENSE_ORDERS - 1)
     assert connected[DENSE_ORDERS - 1 :] == [CONNECTION] * (18 - DENSE_ORDERS)
-    lobe = plan.sun_lobe
-    assert (lobe.diff() <= 0.0).all()
-    assert lobe.max() < 1.0
-    assert lobe[-1] == 0.0
 
 
 @pytest.mark.parametrize("largest", [5, 6, 18, 66, 130, 258])

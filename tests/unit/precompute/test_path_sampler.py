@@ -6,6 +6,7 @@ import math
 import pytest
 import torch
 
+from precompute import path_sampler
 from precompute.order_plan import OrderPlan, plan_orders
 from precompute.path_sampler import FORWARD_EXPONENT, Draw, TableNodes, VertexWeights, sample_paths
 from render.density_grid import DensityGrid
@@ -49,14 +50,12 @@ def draw(
 
 def moments(vertices: list[VertexWeights], paths: int = PATHS) -> tuple[torch.Tensor, torch.Tensor]:
     """Means of G S over all paths and their variances `(order, asymmetry, extinction)`."""
-    means, variances = [], []
+    orders = sorted({vertex.order for vertex in vertices})
+    weights = torch.zeros(len(orders), paths, len(ASYMMETRY), len(EXTINCTION), dtype=torch.float64)
     for vertex in vertices:
-        asymmetry, extinction = vertex.asymmetry_factor.double(), vertex.extinction_factor.double()
-        mean = asymmetry.T @ extinction / paths
-        square = asymmetry.square().T @ extinction.square() / paths
-        means.append(mean)
-        variances.append((square - mean.square()) / (paths - 1))
-    return torch.stack(means), torch.stack(variances)
+        both = vertex.asymmetry_factor.double()[:, :, None] * vertex.extinction_factor.double()[:, None, :]
+        weights[orders.index(vertex.order)].index_add_(0, vertex.path, both)
+    return weights.mean(1), weights.var(1) / paths
 
 
 def by_themselves(row: int, column: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -92,36 +91,35 @@ def test_nodes_between_the_anchors_have_it_too() -> None:
 
 
 @pytest.mark.parametrize("column", [0, 2])
-def test_the_sun_lobe_changes_noise_but_no_mean(column: int) -> None:
+def test_branches_change_noise_but_no_mean(column: int, monkeypatch: pytest.MonkeyPatch) -> None:
     mean, variance = moments(draw(nodes_of()))
-    without = dataclasses.replace(PLAN, sun_lobe=torch.zeros_like(PLAN.sun_lobe))
-    plain, plain_variance = moments(draw(nodes_of(), seed=5, plan=without))
+    monkeypatch.setattr(path_sampler, "branch_probability", torch.zeros_like)
+    plain, plain_variance = moments(draw(nodes_of(), seed=5))
     assert passes_z_test((mean - plain)[..., column], (variance + plain_variance)[..., column])
-    assert float((variance[:, -1, column] / plain_variance[:, -1, column]).max()) < 1.0
+    assert float((variance[:, -1, column] / plain_variance[:, -1, column]).max()) < 0.9
 
 
-def largest_factors(vertices: list[VertexWeights]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Largest G over the phase function's peak `(order, asymmetry)`, largest S `(order, extinction)`."""
+def largest_factors(vertices: list[VertexWeights]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Largest G over the phase function's peak `(vertex, asymmetry)`, largest S `(vertex, extinction)`, and the orders."""
     peak = evaluate_phase_function(ASYMMETRY.sign(), ASYMMETRY)
     vertices = [v for v in vertices if len(v.path)]
     return (
         torch.stack([(v.asymmetry_factor / peak).amax(0) for v in vertices]),
         torch.stack([v.extinction_factor.amax(0) for v in vertices]),
+        torch.tensor([v.order for v in vertices]),
     )
 
 
 @pytest.mark.parametrize("factor", [0.1, 1.0, 30.0])
 @pytest.mark.parametrize("orders", [4, 12])
 def test_factors_are_bounded_by_the_anchors_odds(factor: float, orders: int) -> None:
-    # The mixture is at least each anchor's odds times its own product and the share of that in every scattering; the cosine to the
-    # sun adds one peak at most. S is divided by the probability of having come so far and of the connection.
+    # The mixture is at least each anchor's odds times its own product; the cosine to the sun adds one peak at most. S is divided by
+    # the probability of having come so far and of the connection.
     grid = DensityGrid.from_voxel_size(factor * noise_box().density, 1.0)
     plan = plan_orders(orders)
-    of_asymmetry, of_extinction = largest_factors(draw(nodes_of(), 5000, grid=grid, plan=plan))
-    own_share = (1.0 - plan.sun_lobe).cumprod(0)[: len(of_asymmetry)]
-    bound = 1.0 / (nodes_of().asymmetry_odds * own_share[:, None])
-    assert (of_asymmetry <= 1.0001 * bound).all()
-    traced = (plan.continuation.cumprod(0) * plan.connection)[: len(of_extinction), None]
+    of_asymmetry, of_extinction, orders_reached = largest_factors(draw(nodes_of(), 5000, grid=grid, plan=plan))
+    assert (of_asymmetry <= 1.0001 / nodes_of().asymmetry_odds).all()
+    traced = (plan.continuation.cumprod(0) * plan.connection)[orders_reached - 2, None]
     assert (of_extinction * traced <= 1.0001 * len(EXTINCTION)).all()
 
 
@@ -163,7 +161,7 @@ def test_no_random_number_is_used_twice() -> None:
 
 
 def test_one_anchor_alone_is_not_bounded() -> None:
-    of_asymmetry, of_extinction = largest_factors(draw(nodes_of([-0.3], [3.0]), 5000))
+    of_asymmetry, of_extinction, _ = largest_factors(draw(nodes_of([-0.3], [3.0]), 5000))
     assert float(of_asymmetry.max()) > float(1.0 / nodes_of().asymmetry_odds.min()) / 0.7**3
     assert float(of_extinction.max()) > len(EXTINCTION)
 
@@ -178,17 +176,19 @@ def test_a_single_node_is_plain_path_tracing() -> None:
 
 def test_orders_count_up_and_paths_only_end() -> None:
     vertices = draw(nodes_of(), 500)
-    assert [v.order for v in vertices] == [2, 3, 4]
+    assert [v.order for v in vertices] == [2, 2, 3, 3, 4, 4]
     alive = set(range(500))
-    for vertex in vertices:
-        numbers = set(vertex.path.tolist())
-        assert numbers < alive
-        assert len(numbers) == len(vertex.path) == len(vertex.asymmetry_factor) == len(vertex.extinction_factor)
+    for branch, vertex in zip(vertices[::2], vertices[1::2], strict=True):
+        for one in (branch, vertex):
+            numbers = set(one.path.tolist())
+            assert numbers < alive
+            assert len(numbers) == len(one.path) == len(one.asymmetry_factor) == len(one.extinction_factor)
         alive = numbers
 
 
 def test_empty_volumes_have_no_second_vertex() -> None:
-    assert draw(nodes_of(), 100, grid=DensityGrid.from_voxel_size(torch.zeros(6, 6, 6), 1.0)) == []
+    vertices = draw(nodes_of(), 100, grid=DensityGrid.from_voxel_size(torch.zeros(6, 6, 6), 1.0))
+    assert sum(len(vertex.path) for vertex in vertices) == 0
 
 
 def test_a_seed_gives_the_same_paths_again() -> None:

@@ -173,7 +173,7 @@ def test_halves_give_the_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     few = dataclasses.replace(EFFORT, points=50)
     many = dataclasses.replace(few, paths=64 * EFFORT.paths)
     smooth = build(effort=few).image_error
-    monkeypatch.setattr("precompute.smoothing.LEVELS", 0)
+    monkeypatch.setattr("precompute.smoothing.Neighbourhood.levels", lambda self, source, expected: [source])
     plain = build(effort=few).image_error
     ratio = (plain / build(effort=many).image_error).log().mean().exp()
     assert 5.0 < float(ratio) < 12.0

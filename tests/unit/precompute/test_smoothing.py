@@ -23,7 +23,8 @@ def smoothed(
     """Levels of a source `(point,)` or `(point, column)`."""
     weights = torch.full((len(numbers),), 64) if paths is None else paths
     columns = source if source.ndim == 2 else source[:, None]
-    return list(find_neighbours(lattice, numbers, weights).levels(columns))
+    zero = torch.zeros_like(columns)
+    return list(find_neighbours(lattice, numbers, weights).levels(columns, zero))[:-1]
 
 
 def some_points(lattice: Lattice, share: float = 0.4) -> tuple[torch.Tensor, torch.Tensor]:
@@ -170,3 +171,15 @@ def test_noise_and_bias_are_right_on_average() -> None:
 def test_a_negative_bias_counts_as_none() -> None:
     errors = LevelErrors(torch.tensor([1.0, 2.0]), torch.tensor([-0.5, 0.5]))
     assert errors.total.tolist() == [1.0, 2.5]
+
+
+def test_what_is_expected_is_not_smoothed() -> None:
+    numbers, paths = some_points(CUBE)
+    generator = torch.Generator().manual_seed(5)
+    expected, rest = (torch.rand(len(numbers), 2, generator=generator) for _ in range(2))
+    found = list(find_neighbours(CUBE, numbers, paths).levels(expected + rest, expected))
+    assert len(found) == LEVELS + 2
+    torch.testing.assert_close(found[0], expected + rest)
+    assert torch.equal(found[-1], expected)
+    for level, smooth in zip(found[1:-1], smoothed(CUBE, numbers, rest, paths)[1:], strict=True):
+        torch.testing.assert_close(level, expected + smooth, rtol=1e-4, atol=1e-5)

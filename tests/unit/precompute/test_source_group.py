@@ -158,7 +158,7 @@ def test_images_that_were_not_traced_have_the_pilot_s_mean() -> None:
     assert images.multiple.shape == dear.multiple.shape
     mean, right = images.multiple.mean(-1), dear.multiple.mean(-1)
     assert float((mean[traced] / right[traced]).log().abs().max()) < 0.5
-    assert float(((mean - right)[traced:].abs().sum(0) / right.sum(0)).max()) < 0.02
+    assert float(((mean - right)[traced:].abs().sum(0) / right.sum(0)).max()) < 0.05
     assert (images.multiple >= 0.0).all()
     for number in range(max(traced, 1), 3):  # so few paths reach no further
         last = images.multiple[number - 1] / images.multiple[number - 1].mean(-1, keepdim=True)

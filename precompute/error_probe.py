@@ -1,0 +1,129 @@
+"""Which smoothing each image of a source gets, and the errors that remain, measured on some of the rays."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import embedding_bag
+
+from precompute.gather import Lattice, Strata, gather_bags
+from precompute.smoothing import LevelErrors, Neighbourhood, measure_levels
+from precompute.source_model import SourceModel
+from precompute.view import View
+from render.phase_functions import evaluate_phase_function
+
+PROBE_RAYS = 4000
+"""Rays on which errors are estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothSource:
+    """The source at one extinction, each column at its best level of smoothing, and what that leaves of the errors.
+
+    Args:
+        source: mean of both halves `(point, knot, asymmetry)`.
+        of_knots: relative RMS error of each image `(knot, asymmetry)`.
+        of_image: of the composed image `(albedo, asymmetry)`.
+    """
+
+    source: Tensor
+    of_knots: Tensor
+    of_image: Tensor
+
+
+class ErrorProbe:
+    """Estimates errors of a source on some of the rays.
+
+    Args:
+        view: of all rays.
+        lattice: of the source points.
+        entry: number of each lattice point among the source points `(lattice point,)` int32.
+        strata: of all rays.
+        single: single scattering `(extinction, ray)`.
+        asymmetry: nodes `(asymmetry,)`.
+        knots: exponents of the albedo `(knot,)`.
+        albedo: at which the composed image is judged `(albedo,)`.
+    """
+
+    def __init__(
+        self,
+        view: View,
+        lattice: Lattice,
+        entry: Tensor,
+        strata: Strata,
+        single: Tensor,
+        asymmetry: Tensor,
+        knots: Tensor,
+        albedo: Tensor,
+    ) -> None:
+        self.rays = probe_rays(len(view.pixel))
+        part = view.part(self.rays)
+        some = strata.part(self.rays)
+        self._bags: list[list[tuple[Tensor, Tensor]]] = [[] for _ in strata.opacity]
+        for bags in gather_bags(lattice, part.origin, part.direction, some):
+            self._bags[bags.extinction].append((entry[bags.numbers], bags.weights))
+        phase = evaluate_phase_function(part.direction @ view.sun, asymmetry[:, None])
+        self._single = (phase[:, None] * single[:, self.rays]).double()
+        self._albedo, self._powers = albedo.double(), albedo.double()[:, None] ** knots
+
+    def gather(self, node: int, source: Tensor) -> Tensor:
+        """Images `(ray, half, asymmetry)` of a source `(point, half, asymmetry)` at one extinction."""
+        source = source.flatten(1)
+        rows = [embedding_bag(bag, source, per_sample_weights=weights, mode="sum") for bag, weights in self._bags[node]]
+        return torch.cat(rows).unflatten(1, (2, -1))
+
+    def composed(self, node: int, raw: Tensor, smooth: Tensor) -> Tensor:
+        """Relative RMS error of composed images `(albedo, asymmetry)`.
+
+        Args:
+            node: number of the extinction.
+            raw: images without smoothing `(ray, half, knot, asymmetry)`.
+            smooth: with it, likewise.
+        """
+        images = (torch.einsum("ak,rhkg->arhg", self._powers, image.double()) for image in (raw, smooth))
+        errors = LevelErrors.of(*(image.movedim(0, -1) for image in images))
+        lit = torch.einsum("ak,rkg->rga", self._powers, smooth.double().mean(1))
+        total = self._albedo * self._single[:, node].T[:, :, None] + lit
+        return relative_error(errors.total, total.square().mean(0)).T
+
+    def smooth(self, node: int, source: Tensor, neighbours: Neighbourhood, model: SourceModel) -> SmoothSource:
+        """Smooth the source at one extinction, image by image so that the levels of one only are held at once.
+
+        Args:
+            node: number of the extinction.
+            source: noisy, `(point, half, knot, asymmetry)`.
+            neighbours: of the points.
+            model: of the source at this extinction.
+        """
+        result, of_knots, raw, smooth = [], [], [], []
+        for knot in range(source.shape[2]):
+            columns = source[:, :, knot].flatten(1)
+            levels = [level.unflatten(1, (2, -1)) for level in neighbours.levels(columns, model.expect(columns))]
+            images = [self.gather(node, level) for level in levels]
+            errors = measure_levels(images).total
+            best = errors.argmin(0)
+            raw.append(images[0])
+            smooth.append(_choose(images, best))
+            power = smooth[-1].double().mean(1).square().mean(0)
+            of_knots.append(relative_error(errors.gather(0, best[None])[0], power))
+            result.append(_choose(levels, best).mean(1))
+        of_image = self.composed(node, torch.stack(raw, dim=2), torch.stack(smooth, dim=2))
+        return SmoothSource(torch.stack(result, dim=1), torch.stack(of_knots), of_image)
+
+
+def probe_rays(count: int) -> Tensor:
+    """Numbers of the rays on which errors are estimated, evenly spread."""
+    return torch.arange(count) if count <= PROBE_RAYS else torch.linspace(0, count - 1, PROBE_RAYS).long()
+
+
+def _choose(levels: list[Tensor], best: Tensor) -> Tensor:
+    """The best level of each column out of `(..., half, asymmetry)` tensors, `best` `(asymmetry,)`."""
+    chosen = levels[0]
+    for number, level in enumerate(levels[1:], start=1):
+        chosen = torch.where(best == number, level, chosen)
+    return chosen
+
+
+def relative_error(square: Tensor, power: Tensor) -> Tensor:
+    """Root of a mean squared error over a mean square; zero for an image that is black."""
+    return torch.where(power > 0, (square / power.clamp(min=1e-300)).sqrt(), 0.0)
