@@ -8,6 +8,7 @@ from torch import Tensor
 
 from cloudfit.analysis import PhotographAnalysis
 from cloudfit.candidates import distinct_candidates
+from cloudfit.determination import measure_determination
 from cloudfit.fit_problem import FitProblem, resize_image
 from cloudfit.fit_types import Candidate, FitOptions, PhotographFit
 from cloudfit.losses import L1, LOSSES
@@ -59,21 +60,19 @@ def fit_photograph(
     """
     if options.optimiser not in OPTIMISERS:
         raise ParameterError(f"no optimiser is called {options.optimiser!r}; there are {', '.join(OPTIMISERS)}")
-    problem = FitProblem(
-        analysis,
-        stack,
-        options.ambient,
-        options.transfer,
-        options.air_refinements,
-        options.loss,
-        options.coarse_air,
-    )
+    problem = _pose(analysis, stack, options)
     started = time.perf_counter()
     result = _search(problem, options, on_progress)
     searched = time.perf_counter()
     interrupted = result.stop_reason is StopReason.INTERRUPTED
     count = 1 if interrupted else options.candidates
-    chosen = distinct_candidates(result.evaluated, result.losses, count, absolute_excess=problem.floor)
+    chosen = distinct_candidates(
+        result.evaluated, result.losses, count, absolute_excess=problem.floor, appearance=problem.appearance
+    )
+    determination = None
+    if not interrupted:
+        determination = measure_determination(problem, problem.space, result.evaluated, result.losses, problem.floor)
+    compared = time.perf_counter()
     candidates = []
     for number, index in enumerate(chosen.tolist()):
         on_progress("pictures", number / len(chosen))
@@ -90,8 +89,20 @@ def fit_photograph(
         iterations=result.iterations,
         stop_reason=result.stop_reason.value,
         interrupted=interrupted,
-        seconds={"search": searched - started, "pictures": time.perf_counter() - searched},
+        seconds={
+            "search": searched - started,
+            "comparing answers": compared - searched,
+            "pictures": time.perf_counter() - compared,
+        },
         warnings=(*analysis.warnings, *describe_doubts(problem, candidates[0])),
+        determination=determination,
+    )
+
+
+def _pose(analysis: PhotographAnalysis, stack: ScatteringStack, options: FitOptions) -> FitProblem:
+    """The problem that the options ask for."""
+    return FitProblem(
+        analysis, stack, options.ambient, options.transfer, options.air_refinements, options.loss, options.coarse_air
     )
 
 

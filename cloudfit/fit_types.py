@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from cloudfit.analysis import PhotographAnalysis
+from cloudfit.determination import Determination
 from cloudfit.losses import DEFAULT_LOSS
 from cloudfit.optimisers import DEFAULT_OPTIMISER
 from cloudfit.parameters import Ambient
@@ -122,8 +123,9 @@ class PhotographFit:
         iterations: generations or steps.
         stop_reason: sentence.
         interrupted: whether Ctrl-C ended the search.
-        seconds: by stage: "search", "pictures".
+        seconds: by stage: "search", "comparing answers", "pictures".
         warnings: sentences.
+        determination: which parameters the photograph determines; None after an interruption.
     """
 
     analysis: PhotographAnalysis
@@ -136,3 +138,4 @@ class PhotographFit:
     interrupted: bool
     seconds: dict[str, float]
     warnings: tuple[str, ...]
+    determination: Determination | None = None

@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from cloudfit.air_search import display_values
 from cloudfit.cloud_mask import CloudMask, Label
 from cloudfit.fit_problem import FitProblem, brightest_radiance, resize_image
 from cloudfit.losses import LOSSES, l1_floor
@@ -229,3 +230,17 @@ def test_coarse_air_is_never_better_and_takes_no_other_point() -> None:
     full, coarse = problem(population), replace(problem, coarse_air=True, air_refinements=0)(population)
     assert bool((coarse >= replace(problem, air_refinements=0)(population)).all())
     assert float((coarse - full).median()) < 0.1
+
+
+def test_appearances_tell_what_a_parameter_does() -> None:
+    problem = problem_with_known_answer()
+    lit, brighter = torch.tensor([[0.5, 0.3, 0.7, 0.9, 0.2]]), torch.tensor([[0.6, 0.3, 0.7, 0.9, 0.2]])
+    black = torch.tensor([[0.2, 0.3, 0.7, 0.0, 0.2], [0.9, 0.8, 0.7, 0.0, 0.2]])
+    levels = problem.appearance(torch.cat([lit, brighter, black]))
+    assert levels.shape[1] % 3 == 0
+    assert 0.0 <= float(levels.min()) < float(levels.max()) <= 255.0
+    assert float((levels[1] - levels[0]).mean()) > 1.0
+    assert torch.equal(levels[2], levels[3]), "neither sunlight nor asymmetry can be seen in a black cloud"
+    # The whole picture says the same.
+    whole = problem.compose(problem.space.to_physical(lit))
+    assert float(levels[0].mean()) == pytest.approx(255.0 * float(display_values(whole, "srgb").mean()), rel=0.05)
