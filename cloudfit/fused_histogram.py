@@ -9,6 +9,9 @@ from render.fused import run_in_threads
 BLOCK = 2048
 """Pixels whose steps are computed before they are counted: the first loop is vectorised, the second cannot be."""
 
+LANES = 4
+"""Counters of each level that take turns: neighbouring pixels are often alike, and a counter must be written before it is read again."""
+
 Floats = NDArray[np.float32]
 
 
@@ -25,6 +28,7 @@ def _count_haze(
     """Add the levels of one channel of one candidate behind one amount of air to the counts `(bin,)`."""
     zero, one = np.float32(0.0), np.float32(1.0)
     places = np.empty(BLOCK, np.uint16)
+    lanes = np.zeros((LANES, len(counts)), np.int32)
     for first in range(0, len(sky), BLOCK):
         size = min(BLOCK, len(sky) - first)
         for n in range(size):
@@ -33,8 +37,16 @@ def _count_haze(
             value = cloud[first + n] if weight == one else value
             value = min(max(value, zero), one)
             places[n] = np.uint16((np.sqrt(value) if rooted else value) * steps)
-        for n in range(size):
-            counts[levels[places[n]]] += 1
+        whole = size - size % LANES
+        for n in range(0, whole, LANES):
+            lanes[0, levels[places[n]]] += 1
+            lanes[1, levels[places[n + 1]]] += 1
+            lanes[2, levels[places[n + 2]]] += 1
+            lanes[3, levels[places[n + 3]]] += 1
+        for n in range(whole, size):
+            lanes[0, levels[places[n]]] += 1
+    for level in range(len(counts)):
+        counts[level] += lanes[0, level] + lanes[1, level] + lanes[2, level] + lanes[3, level]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
