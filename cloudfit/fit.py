@@ -8,7 +8,7 @@ from torch import Tensor
 
 from cloudfit.analysis import PhotographAnalysis
 from cloudfit.candidates import distinct_candidates
-from cloudfit.determination import measure_determination
+from cloudfit.determination import Determination, measure_determination
 from cloudfit.fit_problem import FitProblem, resize_image
 from cloudfit.fit_types import Candidate, FitOptions, PhotographFit
 from cloudfit.losses import L1, LOSSES
@@ -65,13 +65,7 @@ def fit_photograph(
     result = _search(problem, options, on_progress)
     searched = time.perf_counter()
     interrupted = result.stop_reason is StopReason.INTERRUPTED
-    count = 1 if interrupted else options.candidates
-    chosen = distinct_candidates(
-        result.evaluated, result.losses, count, absolute_excess=problem.floor, appearance=problem.appearance
-    )
-    determination = None
-    if not interrupted:
-        determination = measure_determination(problem, problem.space, result.evaluated, result.losses, problem.floor)
+    chosen, determination = _compare_answers(problem, result, 1 if interrupted else options.candidates)
     compared = time.perf_counter()
     candidates = []
     for number, index in enumerate(chosen.tolist()):
@@ -127,6 +121,19 @@ def _search(problem: FitProblem, options: FitOptions, on_progress: Progress) -> 
         if results[-1].stop_reason is StopReason.INTERRUPTED:
             break
     return pool_results(results)
+
+
+def _compare_answers(problem: FitProblem, result: OptimiserResult, count: int) -> tuple[Tensor, Determination | None]:
+    """The best distinct answers among nearly equal ones, and what these have in common; nothing of that after an interruption.
+
+    Nearly equal are losses within a tenth of the best, and all below the floor, which are as good as a loss can tell.
+    """
+    evaluated, losses = result.evaluated, result.losses
+    below_floor = max(0.0, problem.floor - result.best_loss)
+    chosen = distinct_candidates(evaluated, losses, count, absolute_excess=below_floor, appearance=problem.appearance)
+    if result.stop_reason is StopReason.INTERRUPTED:
+        return chosen, None
+    return chosen, measure_determination(problem, problem.space, evaluated, losses, below_floor)
 
 
 def _render_candidate(

@@ -56,7 +56,7 @@ def test_what_the_photograph_determines_is_reported() -> None:
     best = fit.candidates[0].parameters
     for spread in fit.determination.parameters:
         assert (1 - 1e-5) * spread.lowest <= best[spread.name] <= (1 + 1e-5) * spread.highest
-    assert fit.determination.excess <= max(problem.floor, 0.1 * fit.history[-1]) + 1e-12
+    assert fit.determination.excess <= max(problem.floor, 1.1 * fit.history[-1]) - fit.history[-1] + 1e-12
     assert "comparing answers" in fit.seconds
 
 
