@@ -65,7 +65,7 @@ def fit_photograph(
     result = _search(problem, options, on_progress)
     searched = time.perf_counter()
     interrupted = result.stop_reason is StopReason.INTERRUPTED
-    chosen, determination = _compare_answers(problem, result, 1 if interrupted else options.candidates)
+    chosen, determination = _compare_answers(problem, result, 1 if interrupted else options.candidates, options.seed)
     compared = time.perf_counter()
     candidates = []
     for number, index in enumerate(chosen.tolist()):
@@ -123,7 +123,9 @@ def _search(problem: FitProblem, options: FitOptions, on_progress: Progress) -> 
     return pool_results(results)
 
 
-def _compare_answers(problem: FitProblem, result: OptimiserResult, count: int) -> tuple[Tensor, Determination | None]:
+def _compare_answers(
+    problem: FitProblem, result: OptimiserResult, count: int, seed: int
+) -> tuple[Tensor, Determination | None]:
     """The best distinct answers among nearly equal ones, and what these have in common; nothing of that after an interruption.
 
     Nearly equal are losses within a tenth of the best, and all below the floor, which are as good as a loss can tell.
@@ -133,7 +135,7 @@ def _compare_answers(problem: FitProblem, result: OptimiserResult, count: int) -
     chosen = distinct_candidates(evaluated, losses, count, absolute_excess=below_floor, appearance=problem.appearance)
     if result.stop_reason is StopReason.INTERRUPTED:
         return chosen, None
-    return chosen, measure_determination(problem, problem.space, evaluated, losses, below_floor)
+    return chosen, measure_determination(problem, problem.space, evaluated, losses, below_floor, seed)
 
 
 def _render_candidate(
