@@ -35,11 +35,11 @@ from benchmarks.common import (
     tell_progress,
 )
 from benchmarks.synthetic_photograph import MIDDLE, photograph_of_opacity
-from cloudfit.air_search import display_values
 from cloudfit.colour_histogram import STEPS, build_level_table, haze_histograms
 from cloudfit.fit_problem import FitProblem
 from cloudfit.fit_types import AIR_DEPTHS
 from cloudfit.losses import LOSSES
+from cloudfit.soft_haze import display_values
 from cloudfit.stack import prepare_stack
 from render.fused import fused_loops_wanted, torch_loops_only
 

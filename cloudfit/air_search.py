@@ -13,8 +13,8 @@ from torch import Tensor
 from cloudfit.colour_histogram import haze_histograms
 from cloudfit.fit_types import AIR_DEPTHS, AIR_STEP
 from cloudfit.losses import L1, AnyLoss, Loss
+from cloudfit.soft_haze import display_values, soft_haze_histograms
 from render.cloud_image import blend_air
-from render.colour import DISPLAY_CURVES
 
 AIR_SUBDIVISION = 3
 """A third of a step on either side of the best leaves equal steps between the depths that have been tried."""
@@ -91,7 +91,8 @@ class Comparison:
     def find_air(self, cloud: Tensor, sky: Tensor, refinements: int, thirds: bool = False) -> FoundAir:
         """Best optical depth of the air for each candidate and channel.
 
-        A loss with a stand-in has its air chosen by that; the loss returned is its own in any case.
+        Where the loss has a stand-in, the same distance of counted levels, that one chooses the air; the loss returned is its own in any
+        case.
 
         Args:
             cloud: radiance `(population, channel, pixel)`.
@@ -103,8 +104,13 @@ class Comparison:
         stand_in = None if isinstance(self.loss, Loss) else self.loss.air_stand_in
         if stand_in is None:
             return search_depths(lambda depths: self.score(cloud, sky, depths), *shape, refinements, thirds)
-        coarse = Comparison(stand_in, self.histogram, self.histogram, self.display_curve)
-        depth = coarse.find_air(cloud, sky, refinements, thirds).air_depth
+
+        def estimate(depths: Tensor) -> Tensor:
+            if stand_in.is_soft:
+                return stand_in.loss(soft_haze_histograms(cloud, sky, depths, self.display_curve), self.target)
+            return stand_in.loss(haze_histograms(cloud, sky, torch.exp(-depths), self.display_curve), self.histogram)
+
+        depth = search_depths(estimate, *shape, refinements, thirds).air_depth
         return FoundAir(self.score(cloud, sky, depth[:, None])[:, 0], depth)
 
     def search(self, cloud: Tensor, sky: Tensor, refinements: int, thirds: bool = False) -> HazeSearch:
@@ -112,14 +118,6 @@ class Comparison:
         found = self.find_air(cloud, sky, refinements, thirds)
         histogram = haze_histograms(cloud, sky, torch.exp(-found.air_depth)[:, None], self.display_curve)[:, 0]
         return HazeSearch(found.loss, found.air_depth, histogram)
-
-
-def display_values(linear: Tensor, display_curve: str) -> Tensor:
-    """Linear light, held to 0..1, as display values 0..1; any shape, differentiable within the range."""
-    held = linear.clamp(0.0, 1.0)
-    # Every curve treats each value alone, and wants them in rows of three.
-    padded = torch.nn.functional.pad(held.flatten(), (0, -held.numel() % 3)).unflatten(0, (-1, 3))
-    return DISPLAY_CURVES[display_curve](padded).flatten()[: held.numel()].reshape(held.shape)
 
 
 def search_haze(cloud: Tensor, sky: Tensor, target: Tensor, display_curve: str, refinements: int) -> HazeSearch:

@@ -14,12 +14,13 @@ import cv2
 import torch
 from torch import Tensor
 
-from cloudfit.air_search import Comparison, display_values
+from cloudfit.air_search import Comparison
 from cloudfit.analysis import PhotographAnalysis
 from cloudfit.colour_histogram import colour_histogram
 from cloudfit.fit_types import AIR_REFINEMENTS
 from cloudfit.losses import DEFAULT_LOSS, L1, AnyLoss, Loss, PhotographValues, find_loss, l1_floor, sampled_floor
 from cloudfit.parameters import Ambient, SearchSpace, cloud_search_space
+from cloudfit.soft_haze import display_values
 from render.cloud_image import Lighting, compose_cloud
 from render.phase_functions import evaluate_phase_function
 from render.scattering_stack import CloudLayers, ScatteringStack

@@ -1,4 +1,4 @@
-"""Fused twin of the counting loop of `haze_histograms`; imported only where numba is installed."""
+"""Fused twins of the counting loops of `haze_histograms` and `soft_haze_histograms`; imported only where numba is installed."""
 
 import numpy as np
 from numba import njit
@@ -91,6 +91,63 @@ def count_hazes(
     run_in_threads(
         lambda first, last: _count_jobs(clouds, skies, haze, levels, rooted, np.float32(steps), counts, first, last),
         jobs,
+        1,
+    )
+    return counts
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _share_jobs(
+    clouds: Floats,
+    skies: Floats,
+    haze: Floats,
+    positions: Floats,
+    rooted: bool,
+    steps: float,
+    counts: NDArray[np.float64],
+    first: int,
+    last: int,
+) -> None:
+    """As `_count_jobs`, each pixel shared by the levels below and above its position."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    channels, pixels, hazes = len(skies), skies.shape[1], haze.shape[1]
+    places = np.empty(BLOCK, np.uint16)
+    for job in range(first * hazes, last * hazes):
+        candidate, channel, kappa = job // hazes // channels, job // hazes % channels, job % hazes
+        cloud, sky, weight = clouds[candidate, channel], skies[channel], haze[candidate, kappa, channel]
+        below, above = np.zeros((LANES, 257)), np.zeros((LANES, 257))
+        for start in range(0, pixels, BLOCK):
+            size = min(BLOCK, pixels - start)
+            for n in range(size):
+                value = min(max(weight * (cloud[start + n] - sky[start + n]) + sky[start + n], zero), one)
+                places[n] = np.uint16((np.sqrt(value) if rooted else value) * steps)
+            for n in range(size):
+                position = positions[places[n]]
+                level = int(position)
+                share = position - np.float32(level)
+                below[n % LANES, level] += one - share
+                above[n % LANES, level + 1] += share
+        for level in range(256):
+            for lane in range(LANES):
+                counts[candidate, kappa, channel, level] += below[lane, level] + above[lane, level]
+
+
+def share_hazes(
+    clouds: Floats, skies: Floats, haze: Floats, positions: Floats, rooted: bool, steps: int
+) -> NDArray[np.float64]:
+    """Number of pixels at each level, each shared by the two next to it.
+
+    Args:
+        clouds, skies, haze, rooted, steps: as of `count_hazes`.
+        positions: (65536,) place 0..255 between the levels of each step of the bent values.
+
+    Returns:
+        (population, kappa, channel, bin).
+    """
+    counts = np.zeros((*haze.shape, 256))
+    run_in_threads(
+        lambda first, last: _share_jobs(clouds, skies, haze, positions, rooted, np.float32(steps), counts, first, last),
+        len(clouds) * len(skies),
         1,
     )
     return counts

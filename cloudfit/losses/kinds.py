@@ -74,6 +74,19 @@ class PhotographValues:
 
 
 @dataclass(frozen=True)
+class StandIn:
+    """A distance of histograms that chooses the air in place of a distance of pixels, because levels are counted fast.
+
+    Args:
+        loss: the distance.
+        is_soft: whether of soft histograms, with the target of the loss itself, or of ordinary ones.
+    """
+
+    loss: Loss
+    is_soft: bool
+
+
+@dataclass(frozen=True)
 class PixelLoss:
     """A distance between the pixels of a rendering and a photograph, differentiable in the rendering's.
 
@@ -86,7 +99,7 @@ class PixelLoss:
         is_paired: whether each pixel is compared with the one in its place, so that shuffling matters.
         prepare: the photograph's values -> target (channel, target_size), once for many renderings.
         distance: display values 0..1 (..., channel, pixel) and target -> (..., channel) float64.
-        air_stand_in: distance of histograms that stands in for this one while the air is searched, or None.
+        air_stand_in: what chooses the air in its place, or None.
     """
 
     name: str
@@ -97,7 +110,7 @@ class PixelLoss:
     is_paired: bool
     prepare: Callable[[PhotographValues], Tensor]
     distance: Callable[[Tensor, Tensor], Tensor]
-    air_stand_in: Loss | None = None
+    air_stand_in: StandIn | None = None
 
     is_differentiable: ClassVar[bool] = True
 

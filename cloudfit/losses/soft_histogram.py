@@ -9,7 +9,8 @@ almost everywhere. It is what Dobashi et al.'s L1 objective becomes when a pixel
 import torch
 from torch import Tensor
 
-from cloudfit.losses.kinds import PhotographValues, PixelLoss
+from cloudfit.losses.histogram import L1
+from cloudfit.losses.kinds import PhotographValues, PixelLoss, StandIn
 
 LEVELS = 256
 
@@ -49,4 +50,6 @@ def _soft_histogram_of_clouds(photograph: PhotographValues) -> Tensor:
     return soft_histogram(photograph.cloud)
 
 
-SOFT_L1 = PixelLoss("soft_l1", 0.0, 2.0, "1", "bin", False, _soft_histogram_of_clouds, soft_l1_distance)
+SOFT_L1 = PixelLoss(
+    "soft_l1", 0.0, 2.0, "1", "bin", False, _soft_histogram_of_clouds, soft_l1_distance, StandIn(L1, is_soft=True)
+)

@@ -4,10 +4,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from cloudfit.air_search import Comparison, display_values, search_depths, search_haze
+from cloudfit.air_search import Comparison, search_depths, search_haze
 from cloudfit.colour_histogram import haze_histograms
 from cloudfit.fit_types import AIR_DEPTHS, AIR_REFINEMENTS
 from cloudfit.losses import LOSSES, PhotographValues, PixelLoss
+from cloudfit.soft_haze import display_values
 from render.cloud_image import blend_air
 from tests.unit.cloudfit.test_fit_problem import problem_with_known_answer, true_cloud
 
@@ -57,19 +58,6 @@ def test_a_cloud_that_is_no_number_has_no_loss_and_spoils_no_other() -> None:
     alone = search_haze(cloud[1:], problem.sky, problem.target, "srgb", 2)
     assert torch.equal(found.loss[1:], alone.loss)
     assert torch.equal(found.air_depth[1:], alone.air_depth)
-
-
-@pytest.mark.parametrize("curve", ["srgb", "none"])
-def test_display_values_are_those_that_histograms_count(curve: str) -> None:
-    linear = 1.4 * torch.rand(2, 3, 50, generator=torch.Generator().manual_seed(0)) - 0.2
-    values = display_values(linear, curve)
-    assert values.shape == linear.shape
-    counted = haze_histograms(linear, torch.zeros(3, 50), (1.0,), curve)[:, 0]
-    levels = (255.0 * values).round().long()
-    # Borders of levels are tabulated: a pixel in a thousand may take the neighbour.
-    assert float((counted - torch.nn.functional.one_hot(levels, 256).sum(2).double() / 50).abs().sum()) <= 2 * 2 / 50
-    # A count that three does not divide.
-    torch.testing.assert_close(display_values(linear[0, 0, :7], curve), values[0, 0, :7])
 
 
 def image_of_many_shades(pixels: int = 600) -> tuple[Tensor, Tensor]:

@@ -4,10 +4,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from cloudfit.air_search import display_values
 from cloudfit.cloud_mask import CloudMask, Label
 from cloudfit.fit_problem import FitProblem, brightest_radiance, resize_image
 from cloudfit.losses import LOSSES, l1_floor
+from cloudfit.soft_haze import display_values
 from render.cloud_image import blend_air
 from render.errors import ParameterError
 from render.scattering_stack import ScatteringStack
