@@ -248,20 +248,24 @@ def compare_air(problem: FitProblem, candidates: int, repeats: int) -> dict[str,
 
 
 def measure_population(task: Task) -> dict[str, object]:
-    """Time of evaluations of one population, and the memory that they add to that of the problem; runs in a process of its own."""
+    """Time and peak memory of evaluations of one population; runs in a process of its own."""
     set_threads(task.arguments.threads)
     problem, _ = pose(task)
     problem(draw(problem, 1))  # tables and targets that every population needs
-    forget_peak()
-    before = peak_memory_mb()
     population = draw(problem, task.population)
+    forget_peak()
+    held = peak_memory_mb()
     timing = time_repeatedly(lambda: problem(population), min(task.repeats, 5))
     evaluated = peak_memory_mb()
     forget_peak()
-    result = {"ms": timing, "ms_per_candidate": timing["median"] / task.population, "added_mb": evaluated - before}
-    differentiable = replace(problem, loss="sorted_wasserstein")
-    differentiable.with_gradient(population)
-    return result | {"added_with_gradient_mb": peak_memory_mb() - before, "peak_memory_mb": peak_memory_mb()}
+    replace(problem, loss="sorted_wasserstein").with_gradient(population)
+    return {
+        "ms": timing,
+        "ms_per_candidate": timing["median"] / task.population,
+        "held_mb": held,
+        "peak_mb": evaluated,
+        "peak_with_gradient_mb": peak_memory_mb(),
+    }
 
 
 def forget_peak() -> None:
@@ -323,9 +327,20 @@ def tables_of(values: Mapping[str, object]) -> tuple:
         ),
         make_table(
             "populations",
-            ("candidates", "evaluation [ms]", "per candidate [ms]", "added memory [MiB]", "with gradients [MiB]"),
+            (
+                "candidates",
+                "evaluation [ms]",
+                "per candidate [ms]",
+                "held before [MiB]",
+                "peak [MiB]",
+                "peak with gradients [MiB]",
+            ),
             [
-                (name, show(row["ms"]), row["ms_per_candidate"], row["added_mb"], row["added_with_gradient_mb"])
+                (
+                    name,
+                    show(row["ms"]),
+                    *(row[key] for key in ("ms_per_candidate", "held_mb", "peak_mb", "peak_with_gradient_mb")),
+                )
                 for name, row in populations.items()
             ],
         ),
@@ -338,6 +353,6 @@ def notes_of(problem: FitProblem) -> tuple[str, ...]:
         "every way of counting runs once in each repetition, one after the other; the ratio is taken within repetitions",
         f"pixels are those of random candidates of the problem ({len(problem.counted)} counted ones, repeated up to the number timed)",
         "the scalar loop and cloudfit take levels from the same table; eager torch computes the sRGB curve of every pixel",
-        "added memory is the peak during the evaluations above what the process held after evaluating one candidate",
+        "memory is the resident memory of the whole process, with all that it imports: before, and at the peak during the evaluations",
         "the excess is that of random candidates; the tables are rough, which changes neither times nor memory",
     )

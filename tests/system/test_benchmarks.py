@@ -65,8 +65,9 @@ def test_evaluations_are_timed_beside_a_scalar_loop_in_the_same_run(
     counting = result["counting_ms"]
     assert {"cloudfit", "torch, scatter_add", "torch, bincount"} <= set(counting)
     if "ratio" in counting:
-        assert counting["ratio"]["median"] == pytest.approx(
-            counting["cloudfit"]["median"] / counting["scalar loop"]["median"], rel=0.5
+        ours, theirs = counting["cloudfit"], counting["scalar loop"]
+        assert (
+            ours["smallest"] / theirs["largest"] <= counting["ratio"]["median"] <= ours["largest"] / theirs["smallest"]
         )
     assert set(result["losses_ms"]) == set(LOSSES)
     assert {name for name, ways in result["losses_ms"].items() if "starts_with_gradient" in ways} == {
@@ -74,7 +75,9 @@ def test_evaluations_are_timed_beside_a_scalar_loop_in_the_same_run(
     }
     assert all(result["coarse_air"][f"refined {number} times"]["excess_mean"] >= -0.5 for number in (0, 2))
     assert result["coarse_air"]["refined 0 times"]["excess_largest"] >= 0.0
-    assert result["populations"]["4"]["ms"]["median"] > 0.0
+    four = result["populations"]["4"]
+    assert four["ms"]["median"] > 0.0
+    assert four["peak_mb"] >= four["held_mb"] > 20.0
     assert "cloudfit over scalar loop" in out or "ratio" not in counting
 
 
