@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from benchmarks import accuracy, masks, photographs, promises, recovery, stack, stack_cost, tradeoff
+from benchmarks import accuracy, evaluation, masks, photographs, promises, recovery, stack, stack_cost, tradeoff
 from benchmarks.common import Benchmark, first_line, publish
 from render.errors import CloudfitError
 
 BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType(
     {
         module.__name__.rpartition(".")[2]: Benchmark(first_line(module.__doc__), module.add_arguments, module.run)
-        for module in (stack_cost, stack, accuracy, tradeoff, recovery, promises, masks, photographs)
+        for module in (stack_cost, evaluation, stack, accuracy, tradeoff, recovery, promises, masks, photographs)
     }
 )
 

@@ -29,9 +29,10 @@ from benchmarks.common import (
     tell_progress,
 )
 from benchmarks.synthetic_photograph import MIDDLE, photograph_of_opacity
+from cloudfit.air_search import search_haze
 from cloudfit.analysis import PhotographAnalysis, analyse_photograph
 from cloudfit.colour_histogram import colour_histogram
-from cloudfit.fit_problem import FitProblem, search_haze
+from cloudfit.fit_problem import FitProblem
 from cloudfit.fit_types import FitOptions
 from cloudfit.losses import LOSSES
 from cloudfit.optimisers import OPTIMISERS

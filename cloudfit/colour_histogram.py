@@ -68,10 +68,12 @@ class LevelTable:
     Args:
         bend: function applied to the clamped linear values.
         levels: (65536,) uint8, level of step floor(STEPS bend(x)).
+        positions: (65536,) float32, the same before rounding, 0..255.
     """
 
     bend: Bend
     levels: LevelArray
+    positions: FloatArray
 
 
 @lru_cache
@@ -92,8 +94,8 @@ def build_level_table(display_curve: str) -> LevelTable:
     bend = BENDS.get(display_curve, SQUARE_ROOT)
     middle = ((torch.arange(1 << 16, dtype=torch.float64) + 0.5) / STEPS).clamp(max=1.0)
     linear = bend.invert(middle)[:, None].expand(-1, CHANNELS)
-    levels = (DISPLAY_CURVES[display_curve](linear)[:, 0] * (LEVELS - 1)).round().clamp(0, LEVELS - 1)
-    return LevelTable(bend, levels.to(torch.uint8).numpy())
+    positions = (DISPLAY_CURVES[display_curve](linear)[:, 0] * (LEVELS - 1)).clamp(0, LEVELS - 1)
+    return LevelTable(bend, positions.round().to(torch.uint8).numpy(), positions.float().numpy())
 
 
 def colour_histogram(pixels: Tensor, display_curve: str = "srgb") -> Tensor:

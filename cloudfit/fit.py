@@ -8,9 +8,10 @@ from torch import Tensor
 
 from cloudfit.analysis import PhotographAnalysis
 from cloudfit.candidates import distinct_candidates
-from cloudfit.fit_problem import FitProblem, resize_image, visible_share
+from cloudfit.determination import Determination, measure_determination
+from cloudfit.fit_problem import FitProblem, resize_image
 from cloudfit.fit_types import Candidate, FitOptions, PhotographFit
-from cloudfit.losses import LOSSES
+from cloudfit.losses import L1, LOSSES
 from cloudfit.optimisers import OPTIMISERS
 from cloudfit.optimisers.base import Budget, OptimiserResult, StopReason, pool_results
 from cloudfit.picture import CandidateRendering
@@ -22,7 +23,10 @@ BOUND_MARGIN = 0.005
 """A parameter within this share of its range from an end is reported as sitting on its bound."""
 
 SURPRISE = 0.05
-"""A picture whose loss differs by more than this from what the stack promised is reported."""
+"""A picture whose L1 loss differs by more than this from what the stack promised is reported."""
+
+RELATIVE_SURPRISE = 0.1
+"""The same for losses in other units, as a share of the larger of both: what 0.05 is of the L1 losses of real photographs."""
 
 USUAL_EVALUATIONS = 1500
 """Of one search without a budget; the progress that is shown goes by it."""
@@ -52,17 +56,17 @@ def fit_photograph(
         The ranked answers. If the search was interrupted, its incumbent alone.
 
     Raises:
-        ParameterError: for an unknown optimiser.
+        ParameterError: for an unknown optimiser or loss, or a method of gradients with a loss that has none.
     """
     if options.optimiser not in OPTIMISERS:
         raise ParameterError(f"no optimiser is called {options.optimiser!r}; there are {', '.join(OPTIMISERS)}")
-    problem = FitProblem(analysis, stack, options.ambient, options.transfer, options.air_refinements)
+    problem = _pose(analysis, stack, options)
     started = time.perf_counter()
     result = _search(problem, options, on_progress)
     searched = time.perf_counter()
     interrupted = result.stop_reason is StopReason.INTERRUPTED
-    count = 1 if interrupted else options.candidates
-    chosen = distinct_candidates(result.evaluated, result.losses, count, absolute_excess=problem.floor)
+    chosen, determination = _compare_answers(problem, result, 1 if interrupted else options.candidates, options.seed)
+    compared = time.perf_counter()
     candidates = []
     for number, index in enumerate(chosen.tolist()):
         on_progress("pictures", number / len(chosen))
@@ -79,8 +83,20 @@ def fit_photograph(
         iterations=result.iterations,
         stop_reason=result.stop_reason.value,
         interrupted=interrupted,
-        seconds={"search": searched - started, "pictures": time.perf_counter() - searched},
+        seconds={
+            "search": searched - started,
+            "comparing answers": compared - searched,
+            "pictures": time.perf_counter() - compared,
+        },
         warnings=(*analysis.warnings, *describe_doubts(problem, candidates[0])),
+        determination=determination,
+    )
+
+
+def _pose(analysis: PhotographAnalysis, stack: ScatteringStack, options: FitOptions) -> FitProblem:
+    """The problem that the options ask for."""
+    return FitProblem(
+        analysis, stack, options.ambient, options.transfer, options.air_refinements, options.loss, options.coarse_air
     )
 
 
@@ -101,10 +117,25 @@ def _search(problem: FitProblem, options: FitOptions, on_progress: Progress) -> 
 
     for run in range(options.searches):
         seed = options.seed * options.searches + run
-        results.append(minimiser.minimise(problem.evaluate, problem.space.dimension, budget, seed, report))
+        results.append(minimiser.minimise(problem, problem.space.dimension, budget, seed, report))
         if results[-1].stop_reason is StopReason.INTERRUPTED:
             break
     return pool_results(results)
+
+
+def _compare_answers(
+    problem: FitProblem, result: OptimiserResult, count: int, seed: int
+) -> tuple[Tensor, Determination | None]:
+    """The best distinct answers among nearly equal ones, and what these have in common; nothing of that after an interruption.
+
+    Nearly equal are losses within a tenth of the best, and all below the floor, which are as good as a loss can tell.
+    """
+    evaluated, losses = result.evaluated, result.losses
+    below_floor = max(0.0, problem.floor - result.best_loss)
+    chosen = distinct_candidates(evaluated, losses, count, absolute_excess=below_floor, appearance=problem.appearance)
+    if result.stop_reason is StopReason.INTERRUPTED:
+        return chosen, None
+    return chosen, measure_determination(problem, problem.space, evaluated, losses, below_floor, seed)
 
 
 def _render_candidate(
@@ -115,7 +146,8 @@ def _render_candidate(
     rendering = CandidateRendering(scene, parameters, options.quality.picture_effort, options.seed)
     lighting = problem.lighting(physical.to(torch.float32))
     sky = resize_image(problem.analysis.sky, scene.camera.width, scene.camera.height)
-    air = rendering.search_air(lighting, sky, problem.target, options.transfer, options.air_refinements)
+    comparison = problem.comparison_at(scene.camera.width, scene.camera.height, rendering.counted)
+    air = rendering.compare(lighting, sky, comparison, options.air_refinements, options.coarse_air)
     red, green, blue = air.air_depth[0].tolist()
     return Candidate(
         parameters=parameters,
@@ -123,7 +155,7 @@ def _render_candidate(
         promised_loss=promised,
         loss=float(air.loss.mean()),
         wasserstein=float(LOSSES["wasserstein"](air.histogram[0], problem.target).mean()),
-        floor=problem.floor_of(int(visible_share(rendering.optical_length).sum())),
+        floor=problem.floor_of(len(rendering.counted)),
         picture=rendering.picture(lighting, sky, air.air_depth[0]),
         histogram=air.histogram[0],
     )
@@ -139,7 +171,8 @@ def describe_doubts(problem: FitProblem, best: Candidate) -> list[str]:
             warnings.append(
                 f"{parameter.name} sits on the {end} bound of its range; the scene may not be able to match the photograph."
             )
-    if abs(best.loss - best.promised_loss) > SURPRISE:
+    larger = max(best.loss, best.promised_loss)
+    if abs(best.loss - best.promised_loss) > (SURPRISE if problem.loss == L1.name else RELATIVE_SURPRISE * larger):
         warnings.append(
             f"the picture's own loss is {best.loss:.3f}, the stack promised {best.promised_loss:.3f}; a higher quality narrows the gap."
         )

@@ -1,24 +1,26 @@
 """The objective: the only place that knows both the scattering stack and the photograph.
 
-    O = mean over channels of min over kappa of sum over 256 levels |h_image - h_photo|        (Dobashi et al. 2012, equation 2)
+    O = mean over channels of min over kappa of loss(image behind air kappa, photograph)
 
-The air's optical depth enters each channel alone, so its linear search is 11 x 3 histograms a candidate, not 11^3. Around the
-best of the 11 it goes on in finer steps.
+With the default loss, sum over 256 levels |h_image - h_photo|, this is equation 2 of Dobashi et al. 2012.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
 import torch
 from torch import Tensor
 
+from cloudfit.air_search import Comparison
 from cloudfit.analysis import PhotographAnalysis
-from cloudfit.colour_histogram import colour_histogram, haze_histograms
-from cloudfit.fit_types import AIR_DEPTHS, AIR_REFINEMENTS, AIR_STEP
-from cloudfit.losses import LOSSES, l1_floor
+from cloudfit.colour_histogram import colour_histogram
+from cloudfit.fit_types import AIR_REFINEMENTS
+from cloudfit.losses import DEFAULT_LOSS, L1, AnyLoss, Loss, PhotographValues, find_loss, l1_floor, sampled_floor
 from cloudfit.parameters import Ambient, SearchSpace, cloud_search_space
+from cloudfit.soft_haze import display_values
 from render.cloud_image import Lighting, compose_cloud
 from render.phase_functions import evaluate_phase_function
 from render.scattering_stack import CloudLayers, ScatteringStack
@@ -35,69 +37,16 @@ DARKEST_ALBEDO = 0.8
 SUNLIGHT_SPAN = 1000.0
 """Strongest over weakest sunlight that is searched."""
 
-AIR_SUBDIVISION = 3
-"""A third of a step on either side of the best leaves equal steps between the depths that have been tried."""
-
 POPULATION_CHUNK = 32
 """Candidates composed at once; bounds the memory."""
 
+GRADIENT_CHUNK = 8
+"""The same where all that was composed must be kept for its gradients."""
 
-@dataclass(frozen=True, eq=False)
-class HazeSearch:
-    """Outcome of the linear search over the air.
+SAMPLED_PIXELS = 500
+"""Enough to tell whether two pictures differ by a level."""
 
-    Args:
-        loss: smallest L1 loss `(population, channel)`.
-        air_depth: where it is reached `(population, channel)`.
-        histogram: of the image with that air `(population, channel, bin)`.
-    """
-
-    loss: Tensor
-    air_depth: Tensor
-    histogram: Tensor
-
-
-def search_haze(cloud: Tensor, sky: Tensor, target: Tensor, display_curve: str, refinements: int) -> HazeSearch:
-    """Best optical depth of the air for each candidate and channel, from coarse to fine.
-
-    First the 11 depths of the paper; then each refinement cuts the step to a third and tries the best depth so far plus and minus a
-    step. Every candidate is searched by itself, so its loss does not depend on its company.
-
-    Args:
-        cloud: radiance `(population, channel, pixel)`.
-        sky: radiance behind it `(channel, pixel)`.
-        target: the photograph's histogram `(channel, bin)`.
-        display_curve: "srgb" or "none".
-        refinements: how often; 0 is the search of the paper.
-    """
-    coarse = torch.tensor(AIR_DEPTHS, dtype=torch.float64)[:, None].expand(len(cloud), -1, len(sky))
-    found = _try_depths(cloud, sky, target, display_curve, coarse)
-    for refinement in range(1, refinements + 1):
-        step = AIR_STEP / AIR_SUBDIVISION**refinement
-        beside = torch.stack([found.air_depth - step, found.air_depth + step], dim=1)
-        within = beside.clamp(AIR_DEPTHS[0], AIR_DEPTHS[-1])
-        found = _better_of(found, _try_depths(cloud, sky, target, display_curve, within))
-    return found
-
-
-def _try_depths(cloud: Tensor, sky: Tensor, target: Tensor, display_curve: str, depths: Tensor) -> HazeSearch:
-    """The best of the given depths `(population, kappa, channel)`."""
-    histograms = haze_histograms(cloud, sky, torch.exp(-depths), display_curve)
-    losses = LOSSES["l1"](histograms, target)
-    best = losses.nan_to_num(nan=torch.inf).argmin(1)
-    population, channel = torch.meshgrid(torch.arange(len(cloud)), torch.arange(len(sky)), indexing="ij")
-    place = (population, best, channel)
-    return HazeSearch(losses[place], depths[place], histograms[place])
-
-
-def _better_of(first: HazeSearch, second: HazeSearch) -> HazeSearch:
-    """The smaller loss of two searches for each candidate and channel; the first where they are equal or not numbers."""
-    wins = second.loss < first.loss
-    return HazeSearch(
-        torch.where(wins, second.loss, first.loss),
-        torch.where(wins, second.air_depth, first.air_depth),
-        torch.where(wins[..., None], second.histogram, first.histogram),
-    )
+Gradient = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
 def resize_image(image: Tensor, width: int, height: int) -> Tensor:
@@ -133,12 +82,19 @@ def brightest_radiance(stack: ScatteringStack) -> float:
 class FitProblem:
     """Losses of whole populations in the unit cube.
 
+    It computes in the precision of the stack: float32, or float64 after `stack.double()`.
+
     Args:
         analysis: of the photograph.
         stack: of the scene.
         ambient: colour of the ambient light.
-        display_curve: applied to both sides before the histograms.
+        display_curve: applied to both sides before they are compared.
         air_refinements: of the search over the air; 0 is the paper's.
+        loss: name in LOSSES.
+        coarse_air: whether the search over the air begins with every third depth.
+
+    Raises:
+        ParameterError: when there is no such loss.
     """
 
     analysis: PhotographAnalysis
@@ -146,6 +102,11 @@ class FitProblem:
     ambient: Ambient = "sun"
     display_curve: str = "srgb"
     air_refinements: int = AIR_REFINEMENTS
+    loss: str = DEFAULT_LOSS
+    coarse_air: bool = False
+
+    def __post_init__(self) -> None:
+        find_loss(self.loss)
 
     @cached_property
     def space(self) -> SearchSpace:
@@ -184,15 +145,49 @@ class FitProblem:
         return image.flatten(0, 1)[self.stack.pixel[self.counted]].T.contiguous()
 
     @cached_property
+    def comparison(self) -> Comparison:
+        """The photograph as the loss sees it, for the stack's counted pixels."""
+        tables = self.stack.tables
+        return self.comparison_at(tables.width, tables.height, self.stack.pixel[self.counted])
+
+    def comparison_at(self, width: int, height: int, pixel: Tensor) -> Comparison:
+        """The photograph as the loss sees it, for a rendering of any size.
+
+        Args:
+            width, height: of the rendering.
+            pixel: numbers of its counted pixels `(pixel,)`.
+        """
+        loss = find_loss(self.loss)
+        if isinstance(loss, Loss):
+            return Comparison(loss, self.target, self.target, self.display_curve)
+        resized = resize_image(self.analysis.photograph.pixels, width, height).flatten(0, 1)[pixel].T
+        values = PhotographValues(self._cloud_values, display_values(resized, self.display_curve))
+        return Comparison(loss, loss.prepare(values), self.target, self.display_curve)
+
+    @cached_property
+    def _cloud_values(self) -> Tensor:
+        """Display values of the photograph's cloud pixels `(channel, sample)`."""
+        pixels = self.analysis.photograph.pixels[self.analysis.mask.cloud]
+        return display_values(pixels.T, self.display_curve).contiguous()
+
+    @cached_property
     def floor(self) -> float:
         """Loss that two images of equal appearance reach on the stack's pixels; nothing below it can be told apart."""
         return self.floor_of(len(self.counted))
 
     def floor_of(self, pixels: int) -> float:
-        """The floor for a picture with so many counted pixels: that of two samples as large as the harmonic mean of both."""
+        """The floor for a picture with so many counted pixels: that of two samples as large as the harmonic mean of both.
+
+        Zero for a loss that compares pixels in their places, which says nothing of images that are merely alike.
+        """
         photographed = int(self.analysis.mask.cloud.sum())
         size = max(1, round(2.0 / (1.0 / photographed + 1.0 / pixels)))
-        return float(l1_floor(self.target, size).mean())
+        loss = find_loss(self.loss)
+        if loss is L1:
+            return float(l1_floor(self.target, size).mean())
+        if not isinstance(loss, Loss) and loss.is_paired:
+            return 0.0
+        return float(sampled_floor(_compare_samples(loss), self._cloud_values, size).mean())
 
     def lighting(self, physical: Tensor) -> Lighting:
         """Light of candidates in units `(population, parameter)`."""
@@ -216,6 +211,43 @@ class FitProblem:
         return compose_cloud(counted, self.lighting(physical), self.sky)
 
     @torch.no_grad()
+    def appearance(self, population: Tensor) -> Tensor:
+        """Display levels 0..255 of a sample of the counted pixels, without air: cheap, for telling pictures apart.
+
+        Args:
+            population: `(population, parameter)` in the unit cube.
+
+        Returns:
+            `(population, channel x sampled pixel)`.
+        """
+        cloud = self._sample.compose(self.space.to_physical(population))
+        return 255.0 * display_values(cloud, self.display_curve).flatten(1)
+
+    @cached_property
+    def _sample(self) -> "FitProblem":
+        """The same problem on at most twice `SAMPLED_PIXELS` of the counted pixels."""
+        tables = self.stack.tables
+        chosen = self.counted[:: max(1, len(self.counted) // SAMPLED_PIXELS)]
+        fewer = replace(
+            tables,
+            pixel=tables.pixel[chosen],
+            optical_length=tables.optical_length[chosen],
+            cos_sun=tables.cos_sun[chosen],
+            single=tables.single[:, chosen],
+            multiple=tables.multiple[..., chosen],
+        )
+        return replace(self, stack=ScatteringStack(fewer))
+
+    def __call__(self, population: Tensor) -> Tensor:
+        """Objective of candidates; see `evaluate`."""
+        return self.evaluate(population)
+
+    @property
+    def precision(self) -> torch.dtype:
+        """Of everything that is composed."""
+        return self.stack.log_single.dtype
+
+    @torch.no_grad()
     def evaluate(self, population: Tensor) -> Tensor:
         """Objective of candidates.
 
@@ -223,13 +255,61 @@ class FitProblem:
             population: `(population, parameter)` in the unit cube.
 
         Returns:
-            Losses `(population,)`; candidates between table nodes that miss the accepted error get the worst loss.
+            Losses `(population,)`, float64; candidates between table nodes that miss the accepted error get the worst loss.
         """
         losses = []
         for part in population.split(POPULATION_CHUNK):
-            physical = self.space.to_physical(part.to(torch.float32))
+            physical = self.space.to_physical(part.to(self.precision))
             cloud = self.compose(physical)
-            air = search_haze(cloud, self.sky, self.target, self.display_curve, self.air_refinements)
-            usable = self.stack.is_usable(physical[:, 1], physical[:, 2])
-            losses.append(torch.where(usable, air.loss.mean(1), LOSSES["l1"].worst))
+            found = self.comparison.find_air(cloud, self.sky, self.air_refinements, self.coarse_air)
+            losses.append(self._refuse(physical, found.loss.mean(1)))
         return torch.cat(losses)
+
+    @property
+    def with_gradient(self) -> Gradient:
+        """The objective with its gradient: `(population, parameter)` -> losses `(population,)` and gradient `(population, parameter)`.
+
+        Both as `evaluate` has them, in the unit cube; the losses are float64, the gradient has the precision of the stack. The gradient is
+        taken behind the best air found, which is held: it takes few values, so that it stays the same when the parameters change by
+        little, and at a true minimum over the air the loss does not depend on it to first order (envelope theorem). A candidate
+        that is left out of the search has the gradient zero.
+
+        Raises:
+            AttributeError: when the loss is not differentiable, so that `hasattr` tells which problem has gradients.
+        """
+        if not find_loss(self.loss).is_differentiable:
+            raise AttributeError(f"the loss {self.loss!r} is a step function and has no useful gradient")
+        return self._evaluate_with_gradient
+
+    def _evaluate_with_gradient(self, population: Tensor) -> tuple[Tensor, Tensor]:
+        losses, gradients = [], []
+        for part in population.split(GRADIENT_CHUNK):
+            unit = part.detach().to(self.precision).clone().requires_grad_()
+            with torch.enable_grad():
+                physical = self.space.to_physical(unit)
+                cloud = self.compose(physical)
+                with torch.no_grad():
+                    found = self.comparison.find_air(cloud, self.sky, self.air_refinements, self.coarse_air)
+                behind_air = self.comparison.score(cloud, self.sky, found.air_depth[:, None])[:, 0]
+                loss = self._refuse(physical, behind_air.mean(1))
+                gradients.append(torch.autograd.grad(loss.sum(), unit)[0])
+            losses.append(loss.detach())
+        return torch.cat(losses), torch.cat(gradients)
+
+    def _refuse(self, physical: Tensor, losses: Tensor) -> Tensor:
+        """Losses `(population,)`, the worst for candidates between nodes that miss the accepted error."""
+        usable = self.stack.is_usable(physical[:, 1], physical[:, 2])
+        return torch.where(usable, losses, find_loss(self.loss).worst)
+
+
+def _compare_samples(loss: AnyLoss) -> Callable[[Tensor, Tensor], Tensor]:
+    """Loss between display values of two samples of pixels `(channel, pixel)`."""
+    if isinstance(loss, Loss):
+        return lambda first, second: loss(_count_levels(first), _count_levels(second))
+    return lambda first, second: loss(first, loss.prepare(PhotographValues(second, second)))
+
+
+def _count_levels(values: Tensor) -> Tensor:
+    return (
+        torch.stack([torch.bincount((255.0 * row).round().long(), minlength=256) for row in values]) / values.shape[1]
+    )

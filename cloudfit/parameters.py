@@ -103,7 +103,11 @@ class SearchSpace:
         blended = lower + unit_cube * (upper - lower)
         # The exponential of a linear column is not chosen, but overflow there would still spoil its gradient.
         exponential = torch.where(is_log, blended, torch.zeros_like(blended)).exp()
-        return torch.where(is_log, exponential, blended).to(unit_cube.dtype)
+        physical = torch.where(is_log, exponential, blended)
+        # Rounding must not step over an end of the range: beyond the last node of a table the gradient is another.
+        ends = torch.tensor([(p.lower, p.upper) for p in self.parameters], dtype=torch.float64, device=physical.device)
+        exact = torch.where(unit_cube == 0.0, ends[:, 0], torch.where(unit_cube == 1.0, ends[:, 1], physical))
+        return (physical + (exact - physical).detach()).to(unit_cube.dtype)
 
     def to_unit(self, physical: Tensor) -> Tensor:
         """Points of the unit cube from values in units: the inverse of `to_physical`; differentiable.

@@ -5,8 +5,10 @@ import time
 import torch
 from torch import Tensor
 
-from cloudfit.fit_problem import HazeSearch, resize_image, search_haze, visible_share
+from cloudfit.air_search import Comparison, HazeSearch
+from cloudfit.fit_problem import resize_image, visible_share
 from cloudfit.fit_types import AIR_REFINEMENTS, Picture
+from cloudfit.losses import L1
 from cloudfit.scene import Scene
 from precompute.error_budget import Effort
 from precompute.scattering_orders import Progress, build_scattering_stack
@@ -62,6 +64,11 @@ class CandidateRendering:
         intensity, ambient = (torch.tensor([self.parameters[name]]) for name in ("sunlight_intensity", "ambient"))
         return Lighting(intensity, sunlight_colour, ambient, ambient_colour)
 
+    @property
+    def counted(self) -> Tensor:
+        """Numbers of the pixels of the picture that are compared with the photograph `(pixel,)`."""
+        return self.pixel[visible_share(self.optical_length)]
+
     def search_air(
         self,
         lighting: Lighting,
@@ -70,7 +77,7 @@ class CandidateRendering:
         display_curve: str,
         refinements: int = AIR_REFINEMENTS,
     ) -> HazeSearch:
-        """Best air for this picture.
+        """Best air for this picture by the L1 loss.
 
         Args:
             lighting: of the candidate.
@@ -79,10 +86,29 @@ class CandidateRendering:
             display_curve: "srgb" or "none".
             refinements: of the search; 0 is the paper's.
         """
+        return self.compare(lighting, sky, Comparison(L1, target, target, display_curve), refinements)
+
+    def compare(
+        self,
+        lighting: Lighting,
+        sky: Tensor,
+        comparison: Comparison,
+        refinements: int = AIR_REFINEMENTS,
+        thirds: bool = False,
+    ) -> HazeSearch:
+        """Best air for this picture by any loss.
+
+        Args:
+            lighting: of the candidate.
+            sky: `(height, width, channel)` at the camera's size.
+            comparison: with the photograph, made for the `counted` pixels of this picture.
+            refinements: of the search; 0 is the paper's.
+            thirds: whether the search begins with every third depth.
+        """
         behind = sky.flatten(0, 1)[self.pixel].T
         cloud = compose_cloud(self.layers, lighting, behind)
         counted = visible_share(self.optical_length)
-        return search_haze(cloud[:, :, counted], behind[:, counted], target, display_curve, refinements)
+        return comparison.search(cloud[:, :, counted], behind[:, counted], refinements, thirds)
 
     def picture(self, lighting: Lighting, sky: Tensor, air_depth: Tensor) -> Picture:
         """The picture with its layers; `air_depth` `(channel,)`."""

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from cloudfit import __version__
+from cloudfit.determination import Determination
 from cloudfit.fit_types import Candidate, FitOptions, PhotographFit
 from cloudfit.optimisers import OPTIMISERS
 from cloudfit.parameters import Parameter, SearchSpace
@@ -99,6 +100,7 @@ def describe_fit(fit: PhotographFit, space: SearchSpace, circumstances: Circumst
         "iterations": fit.iterations,
         "history": [finite_or_none(loss) for loss in fit.history],
     }
+    document["determination"] = None if fit.determination is None else _describe_determination(fit.determination, space)
     document["warnings"] = list(fit.warnings)
     return document
 
@@ -112,6 +114,8 @@ def describe_options(options: FitOptions) -> dict[str, Any]:
         "ambient": options.ambient,
         "transfer": options.transfer,
         "air_refinements": options.air_refinements,
+        "coarse_air": options.coarse_air,
+        "loss": options.loss,
         "optimiser": options.optimiser,
         "optimiser_settings": repr(OPTIMISERS.get(options.optimiser)),
         "evaluations": options.evaluations,
@@ -194,11 +198,31 @@ def _describe_candidate(
         "promised_loss": finite_or_none(candidate.promised_loss),
         "loss": finite_or_none(candidate.loss),
         "floor": finite_or_none(candidate.floor),
-        "near_floor": candidate.loss <= NEAR_FLOOR * candidate.floor,
+        "near_floor": candidate.floor > 0.0 and candidate.loss <= NEAR_FLOOR * candidate.floor,
         "wasserstein_levels": finite_or_none(candidate.wasserstein),
         "image_error": finite_or_none(candidate.picture.image_error),
         "picture_seconds": candidate.picture.seconds,
         "picture": picture_name(rank),
+    }
+
+
+def _describe_determination(determination: Determination, space: SearchSpace) -> dict[str, Any]:
+    return {
+        "answers": determination.answers,
+        "excess": determination.excess,
+        "parameters": {
+            spread.name: {
+                "determined": spread.is_determined,
+                "lowest": spread.lowest,
+                "highest": spread.highest,
+                "unit": parameter.unit,
+                "share": spread.share,
+                "places": [
+                    min(1.0, max(0.0, place_in_range(parameter, value))) for value in (spread.lowest, spread.highest)
+                ],
+            }
+            for parameter, spread in zip(space.parameters, determination.parameters, strict=True)
+        },
     }
 
 

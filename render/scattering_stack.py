@@ -170,7 +170,9 @@ class ScatteringStack(nn.Module):
     def _mean_of_images(self, of_asymmetry: Tensor, log_extinction: Tensor) -> Tensor:
         """Means over the pixels `(population, knot)`; high orders fall so steeply towards thin clouds that a cubic would overshoot."""
         log_mean, slopes = self.log_mean.to(log_extinction), self.log_mean_slopes.to(log_extinction)
-        columns = interpolate_limited(self.tables.extinction.log(), log_mean, slopes, log_extinction)
+        # Logarithms of nodes in the precision of the candidates': a first node that rounds above them would stop their gradient there.
+        log_nodes = self.tables.extinction.to(log_extinction).log()
+        columns = interpolate_limited(log_nodes, log_mean, slopes, log_extinction)
         return torch.einsum("pkg,pg->pk", columns.unflatten(1, (len(self.relative), -1)), of_asymmetry).exp()
 
     def _compose_multiple(self, mean: Tensor, node_weights: Tensor) -> Tensor:

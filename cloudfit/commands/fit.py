@@ -87,6 +87,22 @@ AirRefinements = Annotated[
         rich_help_panel=o.SEARCH,
     ),
 ]
+Loss = Annotated[
+    str,
+    typer.Option(
+        help="What is made small: l1, correlation, chi_square, chi_square_symmetric, intersection, bhattacharyya, wasserstein, "
+        "squared_difference (pixel by pixel), or soft_l1 and sorted_wasserstein, which have gradients as well.",
+        rich_help_panel=o.SEARCH,
+    ),
+]
+CoarseAir = Annotated[
+    bool,
+    typer.Option(
+        "--coarse-air/--full-air",
+        help="Begin the search over the air with every third of the paper's 11 depths, or with all.",
+        rich_help_panel=o.SEARCH,
+    ),
+]
 Resume = Annotated[
     bool,
     typer.Option(
@@ -117,6 +133,8 @@ def fit(
     candidates: Candidates = 3,
     searches: Searches = 3,
     air_refinements: AirRefinements = o.DEFAULT_AIR_REFINEMENTS,
+    loss: Loss = o.DEFAULT_LOSS,
+    coarse_air: CoarseAir = False,
     max_seconds: MaxSeconds = None,
     max_evaluations: MaxEvaluations = None,
     seed: o.Seed = 0,
@@ -156,6 +174,8 @@ def fit(
         searches,
         air_refinements,
         tolerance,
+        loss,
+        coarse_air,
     )
     with reported_errors(speaker, RESUME_HINT):
         from cloudfit.batch import BatchSettings

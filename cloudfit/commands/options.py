@@ -50,7 +50,7 @@ DEFAULT_SUN_AZIMUTH, DEFAULT_SUN_ELEVATION = 220.0, 40.0
 DEFAULT_CAMERA_ELEVATION, DEFAULT_FIELD_OF_VIEW = 10.0, 40.0
 
 # As in `cloudfit.fit_types`, which is slow to import; a test compares them.
-DEFAULT_OPTIMISER, DEFAULT_AIR_REFINEMENTS = "crs2_lm+sbplx", 2
+DEFAULT_OPTIMISER, DEFAULT_AIR_REFINEMENTS, DEFAULT_LOSS = "crs2_lm+sbplx", 2, "l1"
 
 SCENE, CAMERA, SEARCH, RUN = "Scene", "Camera", "Search", "Run"
 
@@ -177,10 +177,13 @@ class SearchChoice:
     searches: int = 3
     air_refinements: int = DEFAULT_AIR_REFINEMENTS
     tolerance: float | None = None
+    loss: str = DEFAULT_LOSS
+    coarse_air: bool = False
 
     def options(self) -> "FitOptions":
-        """The options of a fit. Raises ParameterError for an optimiser that there is not."""
+        """The options of a fit. Raises ParameterError for an optimiser or a loss that there is not."""
         from cloudfit.fit_types import FitOptions
+        from cloudfit.losses import find_loss
         from cloudfit.optimisers import OPTIMISERS
         from render.errors import ParameterError
 
@@ -197,6 +200,8 @@ class SearchChoice:
             searches=self.searches,
             seed=self.seed,
             air_refinements=self.air_refinements,
+            loss=find_loss(self.loss).name,
+            coarse_air=self.coarse_air,
         )
 
 

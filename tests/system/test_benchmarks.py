@@ -18,6 +18,7 @@ from benchmarks.mitsuba_peer import PeerCost
 from benchmarks.parameter_sets import ParameterSet, varied
 from benchmarks.stack_peers import nodes_by_depth
 from benchmarks.synthetic_photograph import MIDDLE, draw_truth, photograph_by_path_tracing
+from cloudfit.losses import LOSSES
 from cloudfit.scene import Scene
 from precompute import smoothing
 from render.camera import frame_volume
@@ -55,6 +56,29 @@ def test_the_cost_of_a_stack_stands_beside_its_error(tmp_path: Path, capsys: pyt
     assert measures["memory_after_imports_mb"]["median"] <= measures["peak_memory_of_build_mb"]["median"]
     assert "iteration_ms" in out
     assert measures["refined_iteration_ms"]["median"] > measures["iteration_ms"]["median"] > 0.0
+
+
+def test_evaluations_are_timed_beside_a_scalar_loop_in_the_same_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result, out = run_quick("evaluation", tmp_path, capsys, "--threads", "1")
+    counting = result["counting_ms"]
+    assert {"cloudfit", "torch, scatter_add", "torch, bincount"} <= set(counting)
+    if "ratio" in counting:
+        ours, theirs = counting["cloudfit"], counting["scalar loop"]
+        assert (
+            ours["smallest"] / theirs["largest"] <= counting["ratio"]["median"] <= ours["largest"] / theirs["smallest"]
+        )
+    assert set(result["losses_ms"]) == set(LOSSES)
+    assert {name for name, ways in result["losses_ms"].items() if "starts_with_gradient" in ways} == {
+        name for name, loss in LOSSES.items() if loss.is_differentiable
+    }
+    assert all(result["coarse_air"][f"refined {number} times"]["excess_mean"] >= -0.5 for number in (0, 2))
+    assert result["coarse_air"]["refined 0 times"]["excess_largest"] >= 0.0
+    four = result["populations"]["4"]
+    assert four["ms"]["median"] > 0.0
+    assert four["peak_mb"] >= four["held_mb"] > 20.0
+    assert "cloudfit over scalar loop" in out or "ratio" not in counting
 
 
 def test_every_knob_of_a_stack_has_its_time_and_its_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

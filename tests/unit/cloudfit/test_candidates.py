@@ -2,8 +2,9 @@
 
 import pytest
 import torch
+from torch import Tensor
 
-from cloudfit.candidates import distinct_candidates
+from cloudfit.candidates import VISIBLE_LEVELS, distinct_candidates, nearly_best
 from render.errors import ParameterError
 
 
@@ -66,3 +67,43 @@ def test_wrong_arguments_are_named() -> None:
             distinct_candidates(torch.zeros(4, 2), torch.zeros(4), **keywords)  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="0 evaluations"):
         distinct_candidates(torch.zeros(0, 2), torch.zeros(0), 1)
+
+
+def sunlit(points: Tensor) -> Tensor:
+    """A grey picture: sun times albedo, and ambient light; levels of two pixels of which one sees less sun."""
+    sun, albedo, ambient = points.T
+    return 255.0 * torch.stack([sun * albedo + ambient, 0.5 * sun * albedo + ambient], dim=1)
+
+
+def test_parameters_that_do_nothing_make_no_difference() -> None:
+    black_dim, black_bright, white_bright = [0.2, 0.0, 0.5], [0.9, 0.0, 0.5], [0.9, 0.4, 0.1]
+    evaluated = torch.tensor([black_dim, black_bright, white_bright])
+    losses = torch.tensor([1.0, 1.001, 1.002])
+    assert distinct_candidates(evaluated, losses, 3).tolist() == [0, 1, 2]
+    assert distinct_candidates(evaluated, losses, 3, appearance=sunlit).tolist() == [0, 2]
+    # Different parameters that do something count, even though the pictures are the same.
+    trade = torch.tensor([[0.8, 0.3, 0.2], [0.3, 0.8, 0.2]])
+    assert torch.allclose(sunlit(trade[:1]), sunlit(trade[1:]), atol=1e-3)
+    assert distinct_candidates(trade, losses[:2], 3, appearance=sunlit).tolist() == [0, 1]
+
+
+def test_a_parameter_that_is_seen_in_one_of_both_answers_counts() -> None:
+    # The sun cannot be seen in the first, which is black, but taking over the first's sun darkens the second.
+    evaluated = torch.tensor([[0.2, 0.0, 0.5], [0.9, 0.09, 0.5]])
+    assert distinct_candidates(evaluated, torch.ones(2), 2, appearance=sunlit).tolist() == [0, 1]
+
+
+def test_changes_below_a_level_are_not_seen() -> None:
+    evaluated = torch.tensor([[0.2], [0.8]])
+    for levels, expected in ((0.5 * VISIBLE_LEVELS, [0]), (2.0 * VISIBLE_LEVELS, [0, 1])):
+        found = distinct_candidates(
+            evaluated, torch.ones(2), 2, appearance=lambda points, levels=levels: points * levels / 0.6
+        )
+        assert found.tolist() == expected
+
+
+def test_nearly_best_answers() -> None:
+    losses = torch.tensor([0.5, torch.nan, 0.54, 0.56, 0.7, torch.inf])
+    assert nearly_best(losses).tolist() == [True, False, True, False, False, False]
+    assert nearly_best(losses, absolute_excess=0.1).tolist() == [True, False, True, True, False, False]
+    assert int(nearly_best(losses, 0.0).sum()) == 1

@@ -34,7 +34,7 @@ def test_fit_has_every_option_that_was_promised() -> None:
     names = (
         "volume out mask sun-azimuth sun-elevation camera-azimuth camera-elevation camera-fov camera-distance camera-width "
         "camera-height camera-type seed jobs transfer ambient quality optimiser candidates max-seconds resume force tables "
-        "quiet verbose json"
+        "quiet verbose json loss coarse-air"
     )
     assert not [name for name in names.split() if f"--{name}" not in text]
 
@@ -59,6 +59,7 @@ def test_wrong_usage_is_code_2(arguments: list[str]) -> None:
     ("arguments", "words"),
     [
         (["fit", "gone.jpg"], "gone.jpg: no such file"),
+        (["fit", str(PROJECT / "cloudfit" / "examples"), "--loss", "l7"], "no loss is called 'l7'"),
         (["info", "gone.npz"], "gone.npz"),
         (["render", "gone/result.json", "--out", "x.png"], "there is no such file"),
         (["precompute", "--volume", "gone.vol"], "gone.vol"),

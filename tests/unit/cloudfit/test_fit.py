@@ -8,7 +8,7 @@ from cloudfit.fit_problem import FitProblem
 from cloudfit.fit_types import AIR_DEPTHS, FitOptions
 from render.errors import ParameterError
 from tests.support.small_scene import TINY, small_scene, small_stack
-from tests.unit.cloudfit.test_fit_problem import guess_space_truth, problem_with_known_answer
+from tests.unit.cloudfit.test_fit_problem import guess_space_truth, problem_in_place, problem_with_known_answer
 
 OPTIONS = FitOptions(quality=TINY, evaluations=400, searches=2, candidates=2, seed=5)
 
@@ -32,6 +32,32 @@ def test_a_photograph_of_the_same_cloud_is_matched_and_the_answers_are_ranked() 
     assert best.picture.rgb.shape == (36, 48, 3)
     assert best.histogram.shape == fit.histogram.shape == (3, 256)
     assert 0.0 < best.floor < 2.0
+
+
+@pytest.mark.parametrize("loss", ["correlation", "squared_difference", "sorted_wasserstein"])
+def test_any_loss_ranks_the_answers_in_its_own_units(loss: str) -> None:
+    problem = problem_in_place(loss)
+    options = replace(OPTIONS, optimiser="genetic", evaluations=120, searches=1, candidates=2, loss=loss)
+    fit = fit_photograph(problem.analysis, small_scene(), small_stack(), options)
+    best = fit.candidates[0]
+    random = problem(torch.rand(40, 5, generator=torch.Generator().manual_seed(0)))
+    assert [c.loss for c in fit.candidates] == sorted(c.loss for c in fit.candidates)
+    assert min(c.promised_loss for c in fit.candidates) == fit.history[-1] < 0.5 * float(random.median())
+    assert 0.0 < best.loss < float(random.median())
+    assert (best.floor == 0.0) is (loss == "squared_difference")
+
+
+def test_what_the_photograph_determines_is_reported() -> None:
+    problem = problem_with_known_answer()
+    fit = fit_photograph(problem.analysis, small_scene(), small_stack(), replace(OPTIONS, candidates=1))
+    assert fit.determination is not None
+    assert [spread.name for spread in fit.determination.parameters] == list(problem.space.names)
+    assert fit.determination.answers > 10
+    best = fit.candidates[0].parameters
+    for spread in fit.determination.parameters:
+        assert (1 - 1e-5) * spread.lowest <= best[spread.name] <= (1 + 1e-5) * spread.highest
+    assert fit.determination.excess <= max(problem.floor, 1.1 * fit.history[-1]) - fit.history[-1] + 1e-12
+    assert "comparing answers" in fit.seconds
 
 
 def test_the_same_seed_gives_the_same_fit_and_another_seed_another() -> None:
@@ -76,6 +102,7 @@ def test_an_interruption_leaves_the_best_answer_so_far(monkeypatch: pytest.Monke
     fit = fit_photograph(problem.analysis, small_scene(), small_stack(), options)
     assert fit.interrupted
     assert len(fit.candidates) == 1
+    assert fit.determination is None
     assert fit.evaluations == 39
 
 

@@ -94,6 +94,30 @@ def test_an_interrupted_search_is_said_to_be(tmp_path: Path, document: dict[str,
     assert "Interrupted" in page_of(document, tmp_path)
 
 
+def test_what_the_photograph_determines_is_shown(tmp_path: Path, document: dict[str, Any]) -> None:
+    page = page_of(document, tmp_path)
+    assert "42 of the parameter sets tried" in page
+    assert page.count(">determined by the photograph<") == 4
+    assert page.count(">not determined<") == 1
+    document["determination"] = None
+    assert "What the photograph determines" not in page_of(document, tmp_path)
+
+
+def test_the_loss_has_its_name_where_it_is_another(tmp_path: Path, document: dict[str, Any]) -> None:
+    assert "loss, 0 to 2" in page_of(document, tmp_path)
+    document["options"]["loss"] = "squared_difference"
+    for candidate in document["candidates"]:
+        candidate |= {"floor": 0.0, "near_floor": False}
+    page = page_of(document, tmp_path)
+    check_page(page)
+    assert "loss, 0 to 2" not in page
+    assert "loss (squared difference)" in page
+    assert "times the floor" not in page
+    assert "squared difference 0.600" in folder_page([("folder", document)])
+    del document["options"]["loss"], document["determination"]
+    check_page(folder_page([("written before there was a choice", document)]))
+
+
 def test_missing_losses_do_not_break_the_pages(tmp_path: Path, document: dict[str, Any]) -> None:
     for candidate in document["candidates"]:
         candidate |= {"loss": None, "floor": None, "wasserstein_levels": None, "image_error": None}

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -72,11 +73,34 @@ def test_the_colour_of_the_ambient_light_is_that_of_the_choice(
 def test_a_free_ambient_colour_is_the_fitted_one(tmp_path: Path) -> None:
     photograph = write_photograph(tmp_path / "photo.png")
     fit = make_fit(make_analysis(read_photograph(photograph)), losses=(0.5,))
+    fit = replace(fit, determination=None)
     fit.candidates[0].parameters.update(ambient_red=0.1, ambient_green=0.2, ambient_blue=0.3)
     circumstances = Circumstances(photograph, None, make_question(ambient="free"), SECONDS)
     best = describe_fit(fit, make_space("free"), circumstances)["candidates"][0]
     assert best["ambient_colour"] == [0.1, 0.2, 0.3]
     assert "ambient_red" in best["parameters"]
+
+
+def test_what_is_determined_is_described_with_its_range(tmp_path: Path) -> None:
+    photograph = write_photograph(tmp_path / "photo.png")
+    fit = make_fit(make_analysis(read_photograph(photograph)))
+    described = describe_fit(fit, make_space(), make_circumstances(photograph))["determination"]
+    assert (described["answers"], described["excess"]) == (42, 0.06)
+    assert list(described["parameters"]) == list(make_space().names)
+    extinction, asymmetry = described["parameters"]["extinction"], described["parameters"]["asymmetry"]
+    assert (extinction["determined"], asymmetry["determined"]) == (True, False)
+    assert (extinction["lowest"], extinction["highest"], extinction["unit"]) == (0.19, 0.21, "1/m")
+    assert asymmetry["places"] == pytest.approx([0.1 / 0.9, 0.7 / 0.9])
+    interrupted = make_fit(make_analysis(read_photograph(photograph)), interrupted=True)
+    assert describe_fit(interrupted, make_space(), make_circumstances(photograph))["determination"] is None
+
+
+def test_no_floor_is_not_near(tmp_path: Path) -> None:
+    photograph = write_photograph(tmp_path / "photo.png")
+    fit = make_fit(make_analysis(read_photograph(photograph)), losses=(0.0,))
+    paired = replace(fit, candidates=(replace(fit.candidates[0], floor=0.0),))
+    assert describe_fit(fit, make_space(), make_circumstances(photograph))["candidates"][0]["near_floor"] is True
+    assert describe_fit(paired, make_space(), make_circumstances(photograph))["candidates"][0]["near_floor"] is False
 
 
 def test_a_reason_is_described_without_a_fit(tmp_path: Path) -> None:
@@ -95,6 +119,13 @@ def test_a_preset_has_its_name_and_another_quality_none() -> None:
 def test_the_search_of_the_air_is_recorded() -> None:
     assert describe_options(FitOptions(air_refinements=0))["air_refinements"] == 0
     assert describe_options(FitOptions())["air_refinements"] == FitOptions().air_refinements > 0
+
+
+def test_the_loss_is_recorded() -> None:
+    assert describe_options(FitOptions())["loss"] == "l1"
+    assert describe_options(FitOptions(loss="soft_l1", coarse_air=True)) | {"loss": "l1", "coarse_air": False} == (
+        describe_options(FitOptions())
+    )
 
 
 def test_places_follow_the_scale_of_the_parameter() -> None:

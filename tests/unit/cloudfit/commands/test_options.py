@@ -71,4 +71,7 @@ def test_search_choices_become_options() -> None:
 def test_an_unknown_optimiser_is_answered_with_the_known_ones() -> None:
     with pytest.raises(ParameterError, match="no optimiser is called 'magic'") as caught:
         SearchChoice(optimiser="magic").options()
+    with pytest.raises(ParameterError, match="no loss is called 'magic'; there are l1"):
+        SearchChoice(loss="magic").options()
+    assert SearchChoice(loss="soft_l1", coarse_air=True).options() == FitOptions(loss="soft_l1", coarse_air=True)
     assert all(name in str(caught.value) for name in OPTIMISERS)
