@@ -61,14 +61,22 @@ def build_scattering_stack(
     view = view_of(grid, camera, sun_direction)
     optical_depth = extinction * view.largest_optical_length
     groups = _split_groups(optical_depth) if len(view.pixel) else []
-    parts = []
-    for number, (group, share) in enumerate(zip(groups, _path_shares(optical_depth, groups), strict=True)):
+    shares, parts = _path_shares(optical_depth, groups), list[GroupImages]()
+    for number, group in enumerate(groups):
         name = f"optical depth {optical_depth[group][0]:.3g} to {optical_depth[group][-1]:.3g}"
-        limit = None if effort.max_seconds is None else share * effort.max_seconds
-        part_effort = replace(effort, paths=max(1, round(share * effort.paths)), max_seconds=limit)
+        part_effort = _effort_of_group(effort, shares[number] / sum(shares[number:]), parts)
         task = GroupTask(view, asymmetry, extinction[group], torch.tensor(albedo), part_effort, seed * 64 + number)
         parts.append(build_group(task, _stage_reporter(on_progress, name)))
     return _assemble(view, asymmetry, extinction, effort, parts)
+
+
+def _effort_of_group(effort: Effort, share: float, before: list[GroupImages]) -> Effort:
+    """Effort of the next group: its share of what the groups before it, which are thinner, have left."""
+    paths = effort.paths - sum(part.report.paths for part in before)
+    seconds = sum(sum(part.report.seconds.values()) for part in before)
+    # Once the time is up a group still gets its first pass.
+    limit = None if effort.max_seconds is None else max(share * (effort.max_seconds - seconds), 1e-3)
+    return replace(effort, paths=max(1, round(share * paths)), max_seconds=limit)
 
 
 def _check_nodes(asymmetry: Tensor, extinction: Tensor) -> None:
