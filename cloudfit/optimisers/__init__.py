@@ -20,6 +20,7 @@ from cloudfit.optimisers.lbfgs import Lbfgs
 from cloudfit.optimisers.many_starts import ManyStarts
 from cloudfit.optimisers.nlopt_adapter import LOCAL, NEED_A_LOCAL, NLOPT_ALGORITHMS, NloptMinimiser
 from cloudfit.optimisers.polished import Polished
+from cloudfit.optimisers.screened_evolution import ScreenedEvolution
 from cloudfit.optimisers.steepest_descent import SteepestDescent
 
 GLOBAL_SEARCH = NloptMinimiser("crs2_lm", largest_evaluations=1250)
@@ -37,6 +38,8 @@ OPTIMISERS: Mapping[str, Minimiser] = MappingProxyType(
         "genetic_paper": AskTellMinimiser(GeneticAlgorithm.paper()),
         "genetic+sbplx": Polished(AskTellMinimiser(GeneticAlgorithm()), POLISHING),
         "crs2_lm+sbplx": Polished(GLOBAL_SEARCH, POLISHING),
+        "screened_evolution": AskTellMinimiser(ScreenedEvolution()),
+        "screened_evolution+sbplx": Polished(AskTellMinimiser(ScreenedEvolution()), POLISHING),
         **{name: NloptMinimiser(name) for name in NLOPT_ALGORITHMS},
         **{f"{name}+{local}": NloptMinimiser(name, local) for name in NEED_A_LOCAL for local in ("bobyqa", "sbplx")},
         **{
@@ -84,6 +87,7 @@ __all__ = [
     "OptimiserResult",
     "Polished",
     "Progress",
+    "ScreenedEvolution",
     "SteepestDescent",
     "StopReason",
     "run_ask_tell",
