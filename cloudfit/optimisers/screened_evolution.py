@@ -3,7 +3,7 @@
 Each generation breeds many more children than it can afford, and a surrogate chooses among them:
 
 1. The elite are the best points evaluated in this run. A child is x_i + F (x_p - x_i) + F (x_1 - x_2), x_p one of the best fifth, F
-   uniform in 0.2..0.9 (current-to-pbest, Zhang and Sanderson 2009), crossed with x_p parameter by parameter, and mirrored at bounds.
+   uniform in 0.2..0.9 (current-to-pbest, Zhang and Sanderson 2009), crossed with x_p parameter by parameter, and moved onto bounds.
 2. The children that are evaluated have the least  w s + (1 - w) (1 - d):  s is the surrogate's loss and d the distance to the
    nearest point evaluated or chosen, both scaled to 0..1, and w goes around some weights (after Regis and Shoemaker 2007).
 3. When the best loss has not improved for some generations, a run ends and another begins from a new space-filling design. From the
@@ -89,12 +89,12 @@ class ScreenedEvolution:
 
     population_size: int = 20
     first_design: int = 32
-    later_design: int = 20
+    later_design: int = 32
     children: int = 15
     elite_size: int = 40
     united_elite_size: int = 60
     weights: tuple[float, ...] = (1.0, 0.95, 0.8, 0.5)
-    patience: int = 14
+    patience: int = 8
     least_improvement: float = 1e-3
     largest_iterations: int = 120
 
@@ -126,7 +126,8 @@ class ScreenedEvolution:
         generator = child_generator(state.seed, state.iterations)
         elite = self._elite(state)
         children = breed(elite, self.children * self.population_size, generator)
-        model = fit_surrogate(*model_data(state.points, state.losses, elite[0]))
+        # Beside the best of earlier runs all of a new one would be flattened away.
+        model = fit_surrogate(*model_data(state.points[state.begins :], state.losses[state.begins :], elite[0]))
         chosen = choose(model(children), children, state.points, self.population_size, self.weights)
         return children.index_select(0, chosen), state
 
@@ -184,12 +185,8 @@ def breed(elite: Tensor, count: int, generator: torch.Generator) -> Tensor:
     mutant = parent + scale * (better - parent) + scale * (one - other)
     kind = torch.randint(len(CROSSOVER), (count, 1), generator=generator)
     share = torch.tensor(CROSSOVER, dtype=elite.dtype).take(kind)
-    return mirror(torch.where(uniform(count, dimension) < share, mutant, better))
-
-
-def mirror(points: Tensor) -> Tensor:
-    """Points reflected at the bounds of the unit cube, for coordinates in -1..2; clamped beyond."""
-    return (1.0 - (1.0 - points.abs()).abs()).clamp(0.0, 1.0)
+    # Clamped, not mirrored: many optima lie on bounds, where a mirrored child never is.
+    return torch.where(uniform(count, dimension) < share, mutant, better).clamp(0.0, 1.0)
 
 
 def model_data(points: Tensor, losses: Tensor, centre: Tensor) -> tuple[Tensor, Tensor]:
