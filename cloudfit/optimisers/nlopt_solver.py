@@ -119,10 +119,9 @@ def solve_apart(search: Search, evaluate: Evaluate) -> None:
                 loss = evaluate(np.frombuffer(point))
                 if loss is None:
                     return
-                # A process that has crashed meanwhile is noticed by what it does not answer.
+                # A process that has ended meanwhile is noticed by what it does not answer; past the buffer, which would keep the loss.
                 with contextlib.suppress(BrokenPipeError):
-                    process.stdin.write(struct.pack("d", loss))
-                    process.stdin.flush()
+                    os.write(process.stdin.fileno(), struct.pack("d", loss))
             if process.wait() != 0:
                 raise RuntimeError(f"{search.algorithm} {_describe_end(process.returncode)}")
         finally:

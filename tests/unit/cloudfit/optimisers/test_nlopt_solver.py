@@ -3,6 +3,8 @@
 import io
 import math
 import struct
+import subprocess
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,6 +71,29 @@ def test_points_are_copies() -> None:
 def test_a_crash_stays_in_its_process() -> None:
     with pytest.raises(RuntimeError, match="ags crashed with SIG"):
         solve_apart(search_with("ags"), lambda x: math.nan)
+
+
+def test_a_process_that_is_killed_while_a_loss_is_computed_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+
+    class Remembered(subprocess.Popen[bytes]):
+        def __init__(self, *arguments: Any, **keywords: Any) -> None:
+            super().__init__(*arguments, **keywords)
+            started.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Remembered)
+
+    def kill_at_third(x: np.ndarray) -> float:
+        calls.append(x)
+        if len(calls) == 3:
+            started[0].kill()
+            started[0].wait()
+        return float(x.sum())
+
+    calls: list[np.ndarray] = []
+    with pytest.raises(RuntimeError, match="ags crashed with SIGKILL"):
+        solve_apart(search_with("ags"), kill_at_third)
+    assert len(calls) == 3
 
 
 def test_an_error_of_the_solver_is_reported() -> None:

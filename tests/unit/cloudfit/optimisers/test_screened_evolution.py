@@ -7,7 +7,9 @@ import torch
 from torch import Tensor
 
 from cloudfit.optimisers.ask_tell import AskTellMinimiser
-from cloudfit.optimisers.base import Budget, StopReason
+from cloudfit.optimisers.base import Budget, Minimiser, StopReason
+from cloudfit.optimisers.genetic import GeneticAlgorithm
+from cloudfit.optimisers.nlopt_adapter import NloptMinimiser
 from cloudfit.optimisers.screened_evolution import (
     EvolutionState,
     ScreenedEvolution,
@@ -114,12 +116,21 @@ def test_only_the_run_s_own_points_breed_unless_it_unites() -> None:
     assert best_first(torch.tensor([3.0, 1.0, 2.0]), 2).tolist() == [1, 2]
 
 
-def test_screening_is_worth_more_than_evaluating_every_child() -> None:
-    def median(method: ScreenedEvolution) -> float:
-        runs = [AskTellMinimiser(method).minimise(rough, 5, Budget(evaluations=300), seed) for seed in range(7)]
-        return sorted(run.best_loss for run in runs)[3]
+def median_loss(method: Minimiser, evaluations: int) -> float:
+    runs = [method.minimise(rough, 5, Budget(evaluations=evaluations), seed) for seed in range(7)]
+    return sorted(run.best_loss for run in runs)[3]
 
-    assert median(ScreenedEvolution()) + 0.03 < median(ScreenedEvolution(children=1))
+
+def test_screening_is_worth_more_than_evaluating_every_child() -> None:
+    screened, all_children = (AskTellMinimiser(ScreenedEvolution(children=children)) for children in (15, 1))
+    assert median_loss(screened, 300) + 0.03 < median_loss(all_children, 300)
+
+
+@pytest.mark.parametrize("evaluations", [100, 300, 900])
+def test_it_is_ahead_of_controlled_random_search_and_the_genetic_algorithm_at_any_time(evaluations: int) -> None:
+    ours = median_loss(AskTellMinimiser(ScreenedEvolution()), evaluations)
+    for other in (NloptMinimiser("crs2_lm"), AskTellMinimiser(GeneticAlgorithm())):
+        assert ours < median_loss(other, evaluations)
 
 
 def test_iterations_are_limited_and_numbers_checked() -> None:
