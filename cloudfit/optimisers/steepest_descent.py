@@ -37,7 +37,7 @@ class SteepestDescent:
 
         x <- P(x - t d),  d = g / max |g|,  t = the largest of s, s/2, s/4, ... with f(x) - f(P(x - t d)) >= 1e-4 g (x - P(x - t d))
 
-    P moves a point into the unit cube; g has (f(x + h e) - f(x - h e)) / 2h in each parameter. The step s of the differences is
+    P moves a point into the unit cube; g has (f(x + h e) - f(x - h e)) / 2h in each parameter. The width h of the differences is
     wide, because the losses of histograms jump on small scales.
 
     Args:
