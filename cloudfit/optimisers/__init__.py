@@ -3,20 +3,25 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from cloudfit.optimisers.adam import Adam
+from cloudfit.optimisers.ask_tell import AskTellMinimiser, AskTellOptimiser, run_ask_tell
 from cloudfit.optimisers.base import (
-    AskTellMinimiser,
-    AskTellOptimiser,
     Budget,
+    DifferentiableObjective,
     Minimiser,
     Objective,
     OptimiserResult,
     Progress,
     StopReason,
-    run_ask_tell,
 )
 from cloudfit.optimisers.genetic import GeneticAlgorithm
-from cloudfit.optimisers.nlopt_adapter import NLOPT_ALGORITHMS, NloptMinimiser
+from cloudfit.optimisers.gradient_descent import GradientMethod, GradientMinimiser
+from cloudfit.optimisers.lbfgs import Lbfgs
+from cloudfit.optimisers.many_starts import ManyStarts
+from cloudfit.optimisers.nlopt_adapter import LOCAL, NEED_A_LOCAL, NLOPT_ALGORITHMS, NloptMinimiser
 from cloudfit.optimisers.polished import Polished
+from cloudfit.optimisers.screened_evolution import ScreenedEvolution
+from cloudfit.optimisers.steepest_descent import SteepestDescent
 
 GLOBAL_SEARCH = NloptMinimiser("crs2_lm", largest_evaluations=1250)
 """Controlled random search; 750 more evaluations of one search would gain at most 0.1 loss floors before the polishing."""
@@ -33,7 +38,17 @@ OPTIMISERS: Mapping[str, Minimiser] = MappingProxyType(
         "genetic_paper": AskTellMinimiser(GeneticAlgorithm.paper()),
         "genetic+sbplx": Polished(AskTellMinimiser(GeneticAlgorithm()), POLISHING),
         "crs2_lm+sbplx": Polished(GLOBAL_SEARCH, POLISHING),
+        "screened_evolution": AskTellMinimiser(ScreenedEvolution()),
+        "screened_evolution+sbplx": Polished(AskTellMinimiser(ScreenedEvolution()), POLISHING),
         **{name: NloptMinimiser(name) for name in NLOPT_ALGORITHMS},
+        **{f"{name}+{local}": NloptMinimiser(name, local) for name in NEED_A_LOCAL for local in ("bobyqa", "sbplx")},
+        **{
+            f"{local}_multistart": ManyStarts(NloptMinimiser(local, tolerance=1e-3, initial_step=0.1))
+            for local in LOCAL
+        },
+        "steepest_descent": AskTellMinimiser(SteepestDescent()),
+        "adam": GradientMinimiser(Adam()),
+        "lbfgs": GradientMinimiser(Lbfgs()),
     }
 )
 
@@ -56,16 +71,24 @@ each takes two to three times as long. On its own a search may still end in a lo
 __all__ = [
     "DEFAULT_OPTIMISER",
     "OPTIMISERS",
+    "Adam",
     "AskTellMinimiser",
     "AskTellOptimiser",
     "Budget",
+    "DifferentiableObjective",
     "GeneticAlgorithm",
+    "GradientMethod",
+    "GradientMinimiser",
+    "Lbfgs",
+    "ManyStarts",
     "Minimiser",
     "NloptMinimiser",
     "Objective",
     "OptimiserResult",
     "Polished",
     "Progress",
+    "ScreenedEvolution",
+    "SteepestDescent",
     "StopReason",
     "run_ask_tell",
 ]

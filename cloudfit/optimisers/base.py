@@ -1,4 +1,4 @@
-"""What every optimiser has in common: budgets, reasons to stop, the log of evaluations and the loop around ask and tell.
+"""What every optimiser has in common: budgets, reasons to stop, and the log of evaluations.
 
 All optimisers minimise a batched objective over the unit cube. Whatever ends a run (a budget, an interruption, an
 exception of the objective), the best point so far is returned together with the reason.
@@ -9,7 +9,8 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from itertools import accumulate
+from typing import Protocol, TypeVar, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -18,6 +19,20 @@ from render.errors import ParameterError
 
 Objective = Callable[[Tensor], Tensor]
 """(population, parameter) float32 in the unit cube -> (population,) losses, to be made small."""
+
+
+@runtime_checkable
+class DifferentiableObjective(Protocol):
+    """An objective that knows its slope; both methods take points of the unit cube."""
+
+    def __call__(self, population: Tensor) -> Tensor:
+        """Losses (population,) of the points (population, parameter)."""
+        ...
+
+    def with_gradient(self, population: Tensor) -> tuple[Tensor, Tensor]:
+        """Losses (population,), and the derivative of each with respect to its own point, (population, parameter)."""
+        ...
+
 
 Progress = Callable[[int, int, float], None]
 """Called with (iterations, evaluations, best loss) after every batch of evaluations."""
@@ -79,6 +94,8 @@ class OptimiserResult:
         history: (iteration,) best loss after each batch, float64.
         evaluated: (evaluation, parameter) every point in the order of evaluation, float32.
         losses: (evaluation,) their losses, float64, not finite ones replaced by `PENALTY`.
+        times: (evaluation,) when each loss was known, since the start of the run, float64 [s].
+        objective_seconds: the part of `seconds` that was spent inside the objective [s].
         message: what went wrong, where something did.
     """
 
@@ -91,12 +108,15 @@ class OptimiserResult:
     history: Tensor
     evaluated: Tensor
     losses: Tensor
+    times: Tensor
+    objective_seconds: float
     message: str = ""
 
 
 def pool_results(results: Sequence[OptimiserResult]) -> OptimiserResult:
     """One result of runs on the same objective, one after the other; the reason to stop is that of the last."""
     best = min(results, key=lambda result: result.best_loss)
+    began = accumulate((result.seconds for result in results[:-1]), initial=0.0)
     return OptimiserResult(
         best=best.best,
         best_loss=best.best_loss,
@@ -107,6 +127,8 @@ def pool_results(results: Sequence[OptimiserResult]) -> OptimiserResult:
         history=torch.cat([result.history for result in results]).cummin(dim=0).values,
         evaluated=torch.cat([result.evaluated for result in results]),
         losses=torch.cat([result.losses for result in results]),
+        times=torch.cat([result.times + start for result, start in zip(results, began, strict=True)]),
+        objective_seconds=sum(result.objective_seconds for result in results),
         message=results[-1].message,
     )
 
@@ -139,29 +161,6 @@ class Minimiser(Protocol):
         ...
 
 
-State = TypeVar("State")
-
-
-class AskTellOptimiser(Protocol[State]):
-    """A population method over a frozen state; every step is a pure function of the state."""
-
-    def init(self, dimension: int, generator: torch.Generator, start: Tensor | None = None) -> State:
-        """Return the state before the first evaluation, with `start` (parameter,) among the first population if given."""
-        ...
-
-    def ask(self, state: State) -> tuple[Tensor, State]:
-        """Return the points to evaluate, (population, parameter) in the unit cube."""
-        ...
-
-    def tell(self, state: State, population: Tensor, losses: Tensor) -> State:
-        """Take the finite losses (population,) of the points of the last `ask`."""
-        ...
-
-    def stop_reason(self, state: State) -> StopReason | None:
-        """Return why the method itself would end now, or None."""
-        ...
-
-
 class BudgetSpent(Exception):
     """Ends a search from inside `EvaluationLog.evaluate`: not an error but the ordinary end of a run."""
 
@@ -176,6 +175,22 @@ def penalise(losses: Tensor) -> Tensor:
     return torch.where(losses.isfinite(), losses, PENALTY).clamp(max=PENALTY)
 
 
+def require_gradient(objective: Objective) -> DifferentiableObjective:
+    """The objective as one that knows its slope.
+
+    Raises:
+        ParameterError: when it does not.
+    """
+    if not isinstance(objective, DifferentiableObjective):
+        raise ParameterError(
+            "this method follows the gradient, and the objective has none; choose a differentiable loss or another method"
+        )
+    return objective
+
+
+Outcome = TypeVar("Outcome")
+
+
 class EvaluationLog:
     """The record of one run and the guard of its budget: the only thing that changes while an optimiser works."""
 
@@ -186,7 +201,8 @@ class EvaluationLog:
         self._on_progress = on_progress
         self._began = time.perf_counter()
         # One append per batch: an interruption between two statements leaves a consistent record.
-        self._batches: list[tuple[Tensor, Tensor]] = []
+        self._batches: list[tuple[Tensor, Tensor, float]] = []
+        self._objective_seconds = 0.0
         self.evaluations = 0
         self.best_loss = math.inf
 
@@ -208,35 +224,73 @@ class EvaluationLog:
             BudgetSpent: when the budget is spent, before or after this batch; a batch that does not fit is cut.
             ParameterError: when the objective returns another shape.
         """
+        points = self._admit(population)
+        losses = self._measure(self._objective, points)
+        return self._record(points, losses, len(population))
+
+    def evaluate_with_gradient(self, population: Tensor) -> tuple[Tensor, Tensor]:
+        """Losses of the points, recorded, and their slopes; one evaluation per point.
+
+        Args:
+            population: (population, parameter), as of `evaluate`.
+
+        Returns:
+            (population,) losses and (population, parameter) gradients, float64; where a loss or a slope is not finite, the
+            slope is 0.
+
+        Raises:
+            BudgetSpent: as `evaluate` does.
+            ParameterError: when the objective has no gradient, or one of another shape.
+        """
+        objective = require_gradient(self._objective)
+        points = self._admit(population)
+        losses, gradient = self._measure(objective.with_gradient, points)
+        if gradient.shape != points.shape:
+            raise ParameterError(f"expected a gradient of shape {tuple(points.shape)}, got {tuple(gradient.shape)}")
+        gradient = gradient.detach().double().cpu()
+        known = losses.detach().cpu().isfinite()[:, None] & gradient.isfinite()
+        return self._record(points, losses, len(population)), torch.where(known, gradient, 0.0)
+
+    def _admit(self, population: Tensor) -> Tensor:
+        """The points that the budget allows, in the unit cube, float32."""
         self._require_budget()
         allowed = len(population)
         if self._budget.evaluations is not None:
             allowed = min(allowed, self._budget.evaluations - self.evaluations)
-        points = population[:allowed].detach().to(device="cpu", dtype=torch.float32).clamp(0.0, 1.0)
-        losses = self._objective(points.clone())
-        if losses.shape != (allowed,):
+        return population[:allowed].detach().to(device="cpu", dtype=torch.float32).clamp(0.0, 1.0)
+
+    def _measure(self, objective: Callable[[Tensor], Outcome], points: Tensor) -> Outcome:
+        began = time.perf_counter()
+        outcome = objective(points.clone())
+        self._objective_seconds += time.perf_counter() - began
+        return outcome
+
+    def _record(self, points: Tensor, losses: Tensor, asked: int) -> Tensor:
+        """Keep the losses of one batch, and end the run when it has what it wanted or may not have all it asked for."""
+        if losses.shape != (len(points),):
             raise ParameterError(
                 f"the objective returned losses of shape {tuple(losses.shape)} for points {tuple(points.shape)}; "
-                f"expected (population,) = ({allowed},)"
+                f"expected (population,) = ({len(points)},)"
             )
         losses = penalise(losses)
-        self._batches.append((points, losses))
-        self.evaluations += allowed
+        self._batches.append((points, losses, time.perf_counter() - self._began))
+        self.evaluations += len(points)
         self.best_loss = min(self.best_loss, float(losses.min()))
         if self._on_progress is not None:
             self._on_progress(len(self._batches), self.evaluations, self.best_loss)
         if self._budget.target is not None and self.best_loss <= self._budget.target:
             raise BudgetSpent(StopReason.TARGET)
-        if allowed < len(population):
+        if len(points) < asked:
             raise BudgetSpent(StopReason.EVALUATIONS)
         return losses
 
     def result(self, stop_reason: StopReason, message: str = "") -> OptimiserResult:
         """Outcome so far; at least one batch must have been evaluated."""
-        evaluated = torch.cat([points for points, _ in self._batches])
-        losses = torch.cat([losses for _, losses in self._batches])
+        evaluated = torch.cat([points for points, _, _ in self._batches])
+        losses = torch.cat([losses for _, losses, _ in self._batches])
+        times = [torch.full((len(losses),), known, dtype=torch.float64) for _, losses, known in self._batches]
         best = int(losses.argmin())
-        best_of_batches = torch.stack([losses.min() for _, losses in self._batches])
+        best_of_batches = torch.stack([losses.min() for _, losses, _ in self._batches])
         if not message and float(losses[best]) == PENALTY:
             message = "no point had a finite loss"
         return OptimiserResult(
@@ -249,6 +303,8 @@ class EvaluationLog:
             history=best_of_batches.cummin(dim=0).values,
             evaluated=evaluated,
             losses=losses,
+            times=torch.cat(times),
+            objective_seconds=self._objective_seconds,
             message=message,
         )
 
@@ -299,46 +355,6 @@ def run_logged(
         if log.is_empty:
             raise
         return log.result(StopReason.FAILED, f"{type(error).__name__}: {error}")
-
-
-def run_ask_tell(
-    optimiser: AskTellOptimiser[State],
-    objective: Objective,
-    dimension: int,
-    budget: Budget,
-    seed: int,
-    on_progress: Progress | None = None,
-    start: Tensor | None = None,
-) -> OptimiserResult:
-    """Minimise with a population method; arguments, result and errors as of `Minimiser.minimise` and `run_logged`."""
-
-    def search(log: EvaluationLog) -> StopReason:
-        state = optimiser.init(dimension, seeded_generator(seed), check_start(start, dimension))
-        while (reason := optimiser.stop_reason(state)) is None:
-            population, state = optimiser.ask(state)
-            state = optimiser.tell(state, population, log.evaluate(population))
-        return reason
-
-    return run_logged(search, objective, dimension, budget, on_progress)
-
-
-@dataclass(frozen=True)
-class AskTellMinimiser(Generic[State]):
-    """A population method in the coat of a `Minimiser`."""
-
-    optimiser: AskTellOptimiser[State]
-
-    def minimise(
-        self,
-        objective: Objective,
-        dimension: int,
-        budget: Budget,
-        seed: int,
-        on_progress: Progress | None = None,
-        start: Tensor | None = None,
-    ) -> OptimiserResult:
-        """Search the unit cube; see `Minimiser`."""
-        return run_ask_tell(self.optimiser, objective, dimension, budget, seed, on_progress, start)
 
 
 def seeded_generator(seed: int) -> torch.Generator:

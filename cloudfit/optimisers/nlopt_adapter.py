@@ -1,24 +1,23 @@
-"""The methods of NLopt behind the `Minimiser` protocol; the only file that knows nlopt.
+"""The methods of NLopt behind the `Minimiser` protocol.
 
-What the adapter guards against: NLopt reuses the buffer of x; DIRECT_L raises and others stall or crash on NaN; some methods
-evaluate beyond `maxeval` (CRS2 finishes its whole first population after a request to stop); ISRES, ESCH and DIRECT
-never stop of themselves; the random numbers are one global stream. So every point is copied and counted by our log,
-the log answers with finite losses, nothing is evaluated once the run is over, and the incumbent is ours.
+What the adapter guards against: NLopt reuses the buffer of x; on NaN or infinity DIRECT_L raises, MLSL returns NaN and AGS
+crashes; ORIG_DIRECT_L crashes when its first evaluation asks it to stop; some methods evaluate beyond `maxeval` (CRS2
+finishes its whole first population after a request to stop, ORIG_DIRECT_L its whole division); MLSL, ISRES, ESCH and
+DIRECT never stop of themselves; the random numbers are one global stream. So every point is copied and counted by our
+log, the log answers with finite losses, nothing is evaluated once the run is over, the incumbent is ours, and methods
+that can crash work in a process of their own.
 """
 
-import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-import nlopt
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from cloudfit.optimisers.base import (
-    PENALTY,
     Budget,
     EvaluationLog,
     Objective,
@@ -29,21 +28,21 @@ from cloudfit.optimisers.base import (
     run_logged,
     seeded_generator,
 )
+from cloudfit.optimisers.nlopt_solver import ALGORITHMS, Search, solve, solve_apart
 from render.errors import ParameterError
 
-NLOPT_ALGORITHMS: Mapping[str, int] = MappingProxyType(
-    {
-        "crs2_lm": nlopt.GN_CRS2_LM,
-        "direct": nlopt.GN_DIRECT,
-        "direct_l": nlopt.GN_DIRECT_L,
-        "isres": nlopt.GN_ISRES,
-        "esch": nlopt.GN_ESCH,
-        "sbplx": nlopt.LN_SBPLX,
-        "bobyqa": nlopt.LN_BOBYQA,
-        "cobyla": nlopt.LN_COBYLA,
-        "nelder_mead": nlopt.LN_NELDERMEAD,
-    }
-)
+NEED_A_LOCAL = ("mlsl", "mlsl_lds")
+
+LOCAL = ("sbplx", "bobyqa", "cobyla", "nelder_mead")
+
+CRASH_PRONE = ("ags", "orig_direct_l")
+"""Methods that run in a process of their own: AGS crashes on NaN, ORIG_DIRECT_L when its first evaluation asks it to stop."""
+
+MOST_PARAMETERS: Mapping[str, int] = MappingProxyType({"ags": 10})
+"""AGS follows one curve through the cube, which NLopt resolves in no more dimensions; above 5 it finds little."""
+
+NLOPT_ALGORITHMS: tuple[str, ...] = tuple(name for name in ALGORITHMS if name not in NEED_A_LOCAL)
+"""Those that work alone."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +50,10 @@ class NloptMinimiser:
     """One sequential method of NLopt: every iteration is one evaluation.
 
     Args:
-        algorithm: one of `NLOPT_ALGORITHMS`.
+        algorithm: one of `NLOPT_ALGORITHMS`, or "mlsl" or "mlsl_lds", which start a local method from many points.
+        local: that method, one of `LOCAL`; for the two alone.
         tolerance: step in every parameter of the unit cube below which a local method, or CRS2, has converged.
+        local_tolerance: the same for the method inside of MLSL, which starts it often.
         initial_step: first step of a local method in the unit cube.
         largest_evaluations: limit of a run whose budget has none, because some methods never stop.
 
@@ -61,17 +62,25 @@ class NloptMinimiser:
     """
 
     algorithm: str
+    local: str | None = None
     tolerance: float = 1e-4
+    local_tolerance: float = 1e-3
     initial_step: float = 0.2
     largest_evaluations: int = 5000
 
     def __post_init__(self) -> None:
-        if self.algorithm not in NLOPT_ALGORITHMS:
-            raise ParameterError(f"expected an algorithm out of {', '.join(NLOPT_ALGORITHMS)}, got {self.algorithm!r}")
-        if not (self.tolerance > 0 and 0 < self.initial_step <= 1 and self.largest_evaluations > 0):
+        if self.algorithm not in ALGORITHMS:
+            raise ParameterError(f"expected an algorithm out of {', '.join(ALGORITHMS)}, got {self.algorithm!r}")
+        if self.local not in (LOCAL if self.algorithm in NEED_A_LOCAL else (None,)):
             raise ParameterError(
-                "expected tolerance > 0, initial_step in 0..1 and largest_evaluations > 0, got "
-                f"{self.tolerance}, {self.initial_step} and {self.largest_evaluations}"
+                f"expected a local method out of {', '.join(LOCAL)} for {' and '.join(NEED_A_LOCAL)} and none for others, "
+                f"got {self.local!r} for {self.algorithm!r}"
+            )
+        positive = min(self.tolerance, self.local_tolerance, self.initial_step, self.largest_evaluations) > 0
+        if not (positive and self.initial_step <= 1):
+            raise ParameterError(
+                "expected tolerance > 0, local_tolerance > 0, initial_step in 0..1 and largest_evaluations > 0, got "
+                f"{self.tolerance}, {self.local_tolerance}, {self.initial_step} and {self.largest_evaluations}"
             )
 
     def minimise(
@@ -83,42 +92,46 @@ class NloptMinimiser:
         on_progress: Progress | None = None,
         start: Tensor | None = None,
     ) -> OptimiserResult:
-        """Search the unit cube; see `Minimiser`. Without a start, one is drawn at random."""
+        """Search the unit cube; see `Minimiser`. Without a start, one is drawn at random.
+
+        Raises:
+            ParameterError: when the method cannot search so many parameters.
+        """
+        most = MOST_PARAMETERS.get(self.algorithm, dimension)
+        if dimension > most:
+            raise ParameterError(f"{self.algorithm} searches at most {most} parameters, got {dimension}")
         generator = seeded_generator(seed)
         point = check_start(start, dimension)
         if point is None:
             point = torch.rand(dimension, generator=generator, dtype=torch.float64)
         if budget.evaluations is None:
             budget = replace(budget, evaluations=self.largest_evaluations)
+        search = Search(
+            algorithm=self.algorithm,
+            local=self.local,
+            start=tuple(point.tolist()),
+            tolerance=self.tolerance,
+            local_tolerance=self.local_tolerance,
+            initial_step=self.initial_step,
+            # One more than the log allows, so that it is the log that ends the run and gives the reason.
+            evaluations=(budget.evaluations or self.largest_evaluations) + 1,
+            seed=seed,
+        )
+        return run_logged(lambda log: self._search(log, search), objective, dimension, budget, on_progress)
 
-        def search(log: EvaluationLog) -> StopReason:
-            return self._search(log, point.numpy(), seed)
-
-        return run_logged(search, objective, dimension, budget, on_progress)
-
-    def _search(self, log: EvaluationLog, start: NDArray[np.float64], seed: int) -> StopReason:
-        solver = nlopt.opt(NLOPT_ALGORITHMS[self.algorithm], log.dimension)
-        solver.set_lower_bounds(np.zeros(log.dimension))
-        solver.set_upper_bounds(np.ones(log.dimension))
-        solver.set_xtol_abs(self.tolerance)
-        solver.set_initial_step(self.initial_step)
+    def _search(self, log: EvaluationLog, search: Search) -> StopReason:
         ending: list[BaseException] = []
 
-        def evaluate(x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
-            if not ending:
-                try:
-                    return float(log.evaluate(torch.from_numpy(x.copy())[None])[0])
-                except BaseException as end:
-                    # Nothing is raised through NLopt's own code: it is asked to stop, and the reason raised below.
-                    ending.append(end)
-                    solver.force_stop()
-            return PENALTY
+        def evaluate(x: NDArray[np.float64]) -> float | None:
+            try:
+                return float(log.evaluate(torch.tensor(x)[None])[0])
+            except BaseException as end:
+                # Nothing is raised through NLopt's own code: it is asked to stop, and the reason raised below.
+                ending.append(end)
+                return None
 
-        solver.set_min_objective(evaluate)
-        nlopt.srand(seed)
-        # Roundoff limits the steps of a local method: as converged as it can be.
-        with contextlib.suppress(nlopt.ForcedStop, nlopt.RoundoffLimited):
-            solver.optimize(start)
+        run = solve_apart if self.algorithm in CRASH_PRONE else solve
+        run(search, evaluate)
         if ending:
             raise ending[0]
         return StopReason.CONVERGED

@@ -14,11 +14,10 @@ from cloudfit.optimisers.base import (
     StopReason,
     check_start,
     penalise,
-    run_ask_tell,
+    pool_results,
     run_logged,
     seeded_generator,
 )
-from cloudfit.optimisers.genetic import GeneticAlgorithm
 from render.errors import ParameterError
 
 
@@ -173,7 +172,7 @@ def test_impossible_arguments_are_named() -> None:
     with pytest.raises(ParameterError, match="finite"):
         check_start(torch.tensor([0.0, math.nan]), 2)
     with pytest.raises(ParameterError, match="at least one parameter"):
-        run_ask_tell(GeneticAlgorithm(), first_column, 0, Budget(), 0)
+        run_logged(evaluate_batches(*BATCHES), first_column, 0, Budget())
 
 
 def test_start_is_moved_into_the_cube() -> None:
@@ -181,3 +180,72 @@ def test_start_is_moved_into_the_cube() -> None:
     assert start is not None
     assert start.tolist() == [0.0, 0.25]
     assert check_start(None, 2) is None
+
+
+def test_times_are_those_at_which_losses_were_known() -> None:
+    def slow(population: Tensor) -> Tensor:
+        time.sleep(0.02)
+        return population[:, 0]
+
+    def search(log: EvaluationLog) -> StopReason:
+        log.evaluate(BATCHES[0])
+        time.sleep(0.05)
+        log.evaluate(BATCHES[1])
+        return StopReason.CONVERGED
+
+    result = run_logged(search, slow, 1, Budget())
+    assert result.times.dtype == torch.float64
+    assert result.times[0] == result.times[1] >= 0.02
+    assert result.times[2] == result.times[3] >= result.times[1] + 0.07
+    # Sleep is never shorter than asked for; what the search itself took is not the objective's.
+    assert 0.04 <= result.objective_seconds <= result.seconds - 0.05
+
+
+def test_pooled_runs_follow_each_other() -> None:
+    first, second = (run_logged(evaluate_batches(batch), first_column, 1, Budget()) for batch in BATCHES[:2])
+    pooled = pool_results([first, second])
+    torch.testing.assert_close(pooled.times, torch.cat([first.times, first.seconds + second.times]))
+    assert bool((pooled.times.diff() >= 0).all())
+    assert float(pooled.times[-1]) <= pooled.seconds == first.seconds + second.seconds
+    assert pooled.objective_seconds == first.objective_seconds + second.objective_seconds
+    assert pooled.history.tolist() == pytest.approx([0.5, 0.4])
+
+
+class Slope:
+    """A plane with holes: not a number below 0.35, without a slope above 0.85."""
+
+    def __call__(self, population: Tensor) -> Tensor:
+        return torch.where(population[:, 0] < 0.35, math.nan, 3.0 * population[:, 0])
+
+    def with_gradient(self, population: Tensor) -> tuple[Tensor, Tensor]:
+        return self(population), torch.where(population > 0.85, math.inf, 3.0)
+
+
+def test_gradients_are_recorded_like_losses_and_made_finite() -> None:
+    seen: list[tuple[Tensor, Tensor]] = []
+
+    def search(log: EvaluationLog) -> StopReason:
+        seen.append(log.evaluate_with_gradient(torch.tensor([[0.3], [0.5], [0.9]])))
+        log.evaluate_with_gradient(torch.tensor([[0.4], [0.6]]))
+        return StopReason.CONVERGED
+
+    result = run_logged(search, Slope(), 1, Budget(evaluations=4))
+    losses, gradient = seen[0]
+    assert losses.tolist() == pytest.approx([PENALTY, 1.5, 2.7])
+    assert gradient.tolist() == [[0.0], [3.0], [0.0]]
+    assert (result.stop_reason, result.evaluations, result.iterations) == (StopReason.EVALUATIONS, 4, 2)
+    assert result.best_loss == pytest.approx(1.2)
+
+
+def test_an_objective_without_a_gradient_is_refused() -> None:
+    with pytest.raises(ParameterError, match="choose a differentiable loss"):
+        run_logged(
+            lambda log: log.evaluate_with_gradient(BATCHES[0]) and StopReason.CONVERGED, first_column, 1, Budget()
+        )
+
+    class Flat(Slope):
+        def with_gradient(self, population: Tensor) -> tuple[Tensor, Tensor]:
+            return self(population), population[:, 0]
+
+    with pytest.raises(ParameterError, match=r"shape \(2, 1\), got \(2,\)"):
+        run_logged(lambda log: log.evaluate_with_gradient(BATCHES[0]) and StopReason.CONVERGED, Flat(), 1, Budget())

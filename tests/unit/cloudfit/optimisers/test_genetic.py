@@ -7,7 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from cloudfit.optimisers.base import Budget, StopReason, run_ask_tell
+from cloudfit.optimisers.ask_tell import run_ask_tell
+from cloudfit.optimisers.base import Budget, StopReason
 from cloudfit.optimisers.genetic import (
     BITS,
     LARGEST_CODE,
