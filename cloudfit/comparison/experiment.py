@@ -1,5 +1,6 @@
 """An experiment: which methods run on which problems from which seeds; what is finished stays, what is missing is done."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,12 +70,17 @@ class Experiment:
         dependencies = {
             "version": __version__,
             "problem": problem,
-            "method": [method, repr(self.methods[method])],
+            "method": [method, settings_of(self.methods[method])],
             "seed": seed,
             "budget": self.budget,
             "restarts": self.restarts,
         }
         return Task(method, self.methods[method], seed, self.budget, self.restarts, table_key(dependencies))
+
+
+def settings_of(minimiser: Minimiser) -> str:
+    """A method with its settings as text, the same in every process: where objects lie in memory is left out."""
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", repr(minimiser))
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,7 @@ def runtime_figure(analysis: Analysis, by_seconds: bool) -> str:
     times = {method: analysis.pooled_runtimes(method, by_seconds) for method in analysis.methods}
     label = "seconds" if by_seconds else "evaluations"
     with _figure(f"runtimes {label}", (10.5, 4.2)) as (figure, (axes,)):
-        _draw_distributions(axes, times, analysis.ranking(by_seconds))
+        _draw_distributions(axes, times, analysis.ranking(by_seconds), 0.0 if by_seconds else 1.0)
         axes.set(xlabel=label, ylabel="share of runs and targets reached", ylim=(0, 1), xscale="log")
         return to_svg(figure, f"Runtime distributions in {label}")
 
@@ -54,7 +54,7 @@ def profile_figure(analysis: Analysis) -> str:
     """Data profiles: share of the runs converged within a number of simplex gradients."""
     times = {method: analysis.pooled_gradients(method) for method in analysis.methods}
     with _figure("data profiles", (10.5, 4.2)) as (figure, (axes,)):
-        _draw_distributions(axes, times, analysis.ranking())
+        _draw_distributions(axes, times, analysis.ranking(), 1.0)
         axes.set(xlabel="simplex gradients, evaluations / (n + 1)", xscale="log", ylim=(0, 1))
         axes.set_ylabel(f"share of runs converged to {PROFILE_TOLERANCE:g}")
         return to_svg(figure, "Data profiles")
@@ -116,16 +116,17 @@ def time_figure(analysis: Analysis) -> str:
         axes.barh(range(len(order)), own, left=inside, color=ACCENT, label="method")
         axes.set_yticks(range(len(order)), order)
         axes.set(xlabel="wall milliseconds for each evaluation, median run")
-        axes.legend(frameon=False, loc="upper right")
+        axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
         return to_svg(figure, "Wall time of an evaluation")
 
 
-def _draw_distributions(axes: Axes, times: Mapping[str, Floats], ranking: Sequence[str]) -> None:
-    """A curve for each method: the best in colours, the others faint."""
+def _draw_distributions(axes: Axes, times: Mapping[str, Floats], ranking: Sequence[str], begin: float) -> None:
+    """A curve for each method from a time on, or from the first that is known: the best in colours, the others faint."""
     reached = np.concatenate([values[np.isfinite(values)] for values in times.values()])
     positive = reached[reached > 0]
     low, high = (float(positive.min()), float(positive.max())) if len(positive) else (1.0, 10.0)
-    grid = np.geomspace(low, max(high, 1.001 * low), GRID_POINTS)
+    low = begin or low
+    grid = np.geomspace(low, max(high, 2.0 * low), GRID_POINTS)
     for method in ranking[DRAWN_STRONGLY:]:
         axes.step(grid, distribution(times[method], grid), where="post", color=FAINT, linewidth=1.0)
     for number, method in enumerate(ranking[:DRAWN_STRONGLY]):
