@@ -6,8 +6,8 @@ import pytest
 
 from cloudfit.commands.compare import (
     Watcher,
-    compare,
     choose_methods,
+    compare,
     list_problems,
     list_scenes,
     parse_sun,
