@@ -99,11 +99,15 @@ class Problem:
         """Image `(height, width, channel)` of a point `(parameter,)`, composed from the stack at the size of its tables."""
         fit, tables = self.fit, self.fit.stack.tables
         cloud = fit.compose(fit.space.to_physical(unit[None].to(torch.float32)))
-        air = search_haze(cloud, fit.sky, fit.target, fit.display_curve, fit.air_refinements)
-        seen = blend_air(cloud, fit.sky, air.air_depth.to(torch.float32))[0]
+        seen = blend_air(cloud, fit.sky, _best_air(fit, cloud).to(torch.float32))[0]
         image = _resized_sky(fit).flatten(0, 1).clone()
         image[fit.stack.pixel[fit.counted]] = seen.T.to(image.dtype)
         return image.unflatten(0, (tables.height, tables.width))
+
+
+def _best_air(fit: FitProblem, cloud: Tensor) -> Tensor:
+    """Optical depth of the air with which clouds `(population, channel, pixel)` come closest `(population, channel)`."""
+    return search_haze(cloud, fit.sky, fit.target, fit.display_curve, fit.air_refinements).air_depth
 
 
 def _resized_sky(fit: FitProblem) -> Tensor:
