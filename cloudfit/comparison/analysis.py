@@ -22,6 +22,7 @@ from cloudfit.comparison.performance import (
     simplex_gradients,
 )
 from cloudfit.comparison.run_record import Floats, RunRecord
+from cloudfit.optimisers.base import PENALTY
 from render.errors import ParameterError
 
 Quartiles = tuple[float, float, float]
@@ -121,7 +122,8 @@ class ProblemRuns:
 
     def profile_gradients(self, method: str) -> Floats:
         """Simplex gradients until each run passes the convergence test of the data profiles `(run,)`."""
-        first = np.array([run.trace.loss[0] for run in self.every if len(run.trace.loss)])
+        known = [run.trace.loss[run.trace.loss < PENALTY] for run in self.every]
+        first = np.array([losses[0] for losses in known if len(losses)])
         target = profile_target(first, self.best)
         times = np.array([run.trace.evaluations_until(target) for run in self.runs[method]])
         return simplex_gradients(times, int(self.facts["dimension"]))

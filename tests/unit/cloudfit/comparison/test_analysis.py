@@ -3,6 +3,7 @@ import math
 import pytest
 
 from cloudfit.comparison.analysis import Analysis
+from cloudfit.optimisers.base import PENALTY
 from render.errors import ParameterError
 from tests.support.comparison import facts, make_run
 
@@ -67,6 +68,9 @@ def test_pooled_times_and_extremes() -> None:
     assert sorted(set(times.tolist())) == [1.0, 10.0, math.inf]
     # The first losses are all 2: converged means a loss of at most 1.01; two parameters.
     assert sorted(analysis.pooled_gradients("a").tolist()) == [10 / 3, math.inf]
+    blind = [make_run("c", seed=n, steps=((1, 0.0, PENALTY), (2, 0.0, 2.0))) for n in range(9)]
+    more = Analysis.of_runs([*RUNS, *blind], [facts()], ["a", "b", "c"], 100, None)
+    assert more.pooled_gradients("c").tolist() == [math.inf] * 9, "a penalty is no loss to start from"
     extremes = analysis.extreme_runs("a")
     assert extremes is not None
     assert [run.seed for run in extremes] == [0, 1]
