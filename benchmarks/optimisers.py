@@ -135,7 +135,10 @@ def _report(arguments: argparse.Namespace, comparison: Comparison) -> Outcome:
     notes = [
         "area: anytime area over the logarithm of evaluations, or of seconds; excess: over the best loss that anyone found",
         f"the default of cloudfit fit is {DEFAULT_OPTIMISER}",
-        *(f"{name} is left out: {reason}" for name, reason in comparison.refused.items()),
+        *(
+            f"{name} is left out: {reason}"
+            for name, reason in {**comparison.refused, **comparison.report.refused}.items()
+        ),
         *(
             f"{run.method} failed on {run.problem}, seed {run.seed}: {run.message}"
             for run in comparison.report.failed[:20]

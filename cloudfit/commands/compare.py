@@ -274,7 +274,7 @@ class Watcher:
     def finished(self, record: "RunRecord") -> None:
         """Count the run; a failure is said at once."""
         self._bars.finished()
-        if record.failed:
+        if record.failed and not record.refused:
             self._speaker.warn(f"{record.method} on {record.problem}, seed {record.seed}: {record.message}")
 
 
@@ -283,11 +283,15 @@ def tell_comparison(comparison: "Comparison", speaker: Speaker, as_json: bool) -
     report = comparison.report
     for name, reason in comparison.refused.items():
         speaker.warn(f"{name} is left out: {reason}")
+    for name, reason in report.refused.items():
+        speaker.say(f"{name} is left out: {reason}")
     if report.interrupted:
         speaker.say(f"interrupted after {len(report.runs)} of {report.total} runs; {RESUME_HINT}")
         return INTERRUPTED
     if as_json:
-        print_json({**comparison.document, "page": str(comparison.page), "refused": dict(comparison.refused)})
+        print_json(
+            {**comparison.document, "page": str(comparison.page), "refused": {**comparison.refused, **report.refused}}
+        )
     else:
         methods = {row["method"]: row for row in comparison.document["methods"]}
         headings = ["method", "area", "area, seconds", "success", "median excess", "evaluations", "seconds", "overhead"]

@@ -164,7 +164,7 @@ class Analysis:
 
     Args:
         problems: by name, in order; those on which nobody found anything are left out.
-        methods: names, in order.
+        methods: names, in order; those that evaluated nothing anywhere are left out.
     """
 
     problems: Mapping[str, ProblemRuns]
@@ -184,22 +184,23 @@ class Analysis:
         Args:
             runs: finished ones.
             facts: of the problems.
-            methods: names in the order wanted; those without runs are left out.
+            methods: names in the order wanted; those whose runs evaluated nothing are left out.
             budget_evaluations, budget_seconds: limits of each run.
 
         Raises:
             ParameterError: no run has found anything.
         """
         problems = {}
+        able = [name for name in methods if any(run.evaluations for run in runs if run.method == name)]
         for fact in facts:
-            mine = [run for run in runs if run.problem == fact["name"]]
-            by_method = {name: [run for run in mine if run.method == name] for name in methods}
+            mine = [run for run in runs if run.problem == fact["name"] and run.method in able]
+            by_method = {name: [run for run in mine if run.method == name] for name in able}
             filled = {name: found for name, found in by_method.items() if found}
             if any(math.isfinite(run.loss) for run in mine):
                 problems[fact["name"]] = ProblemRuns(fact, filled, budget_evaluations, budget_seconds)
         if not problems:
             raise ParameterError("there is no run with a loss to be compared")
-        present = tuple(name for name in methods if any(name in problem.runs for problem in problems.values()))
+        present = tuple(name for name in able if any(name in problem.runs for problem in problems.values()))
         return cls(problems, present)
 
     def cells(self) -> list[tuple[str, str, Merit]]:

@@ -143,8 +143,13 @@ class ExperimentReport:
 
     @property
     def failed(self) -> tuple[RunRecord, ...]:
-        """Runs whose method failed."""
-        return tuple(run for run in self.runs if run.failed)
+        """Runs whose method failed, without those that it refused."""
+        return tuple(run for run in self.runs if run.failed and not run.refused)
+
+    @property
+    def refused(self) -> dict[str, str]:
+        """Methods that did not take a problem, and why."""
+        return {run.method: run.message for run in self.runs if run.refused}
 
 
 def conduct(experiment: Experiment, jobs: int = 1, listener: ExperimentListener = SILENT) -> ExperimentReport:

@@ -11,6 +11,7 @@ from torch import Tensor
 from cloudfit.comparison.problems import Problem
 from cloudfit.comparison.run_record import Floats, RunRecord, Trace
 from cloudfit.optimisers.base import PENALTY, Budget, Minimiser, Objective, OptimiserResult, Progress, StopReason
+from render.errors import ParameterError
 
 RESTARTING = (StopReason.CONVERGED, StopReason.STAGNATION, StopReason.ITERATIONS)
 """Reasons of a method's own to stop, after which it is started again from another seed."""
@@ -76,16 +77,19 @@ class Task:
 def perform(problem: Problem, task: Task, on_progress: Progress | None = None) -> RunRecord:
     """Do a run.
 
-    Whatever the method raises makes the run a failed one with a message; what was found before is kept.
+    Whatever the method raises makes the run a failed one with a message; what was found before is kept. A method that raises
+    ParameterError before it has evaluated anything does not take the problem.
 
     Raises:
         KeyboardInterrupt: the user asked to stop; the run does not count.
     """
     timed = TimedObjective(problem.objective)
     results: list[OptimiserResult] = []
-    message = ""
+    message, refused = "", False
     try:
         _search(timed, problem.dimension, task, on_progress, results)
+    except ParameterError as error:
+        message, refused = str(error), not results
     except Exception as error:  # a method that fails must not end the others
         message = f"{type(error).__name__}: {error}"
     seconds = time.perf_counter() - timed.began
@@ -94,7 +98,8 @@ def perform(problem: Problem, task: Task, on_progress: Progress | None = None) -
     failed = bool(message) or not results or results[-1].stop_reason is StopReason.FAILED
     if not message and results:
         message = results[-1].message or results[-1].stop_reason.value
-    return _record(problem, task, timed, results, seconds, failed, message)
+    record = _record(problem, task, timed, results, seconds, failed, message)
+    return replace(record, refused=refused)
 
 
 def _search(

@@ -86,6 +86,7 @@ class RunRecord:
         loss: of the best point, computed once more after the run; infinite if nothing was evaluated.
         threads: of the process.
         trace: the improvements.
+        refused: whether the method did not take the problem at all, such as one that needs gradients where there are none.
     """
 
     fingerprint: str
@@ -103,6 +104,7 @@ class RunRecord:
     loss: float
     threads: int
     trace: Trace
+    refused: bool = False
 
     @property
     def overhead_seconds(self) -> float:

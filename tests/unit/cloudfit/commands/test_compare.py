@@ -1,5 +1,6 @@
 import inspect
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -92,6 +93,12 @@ def test_failures_refusals_and_interruptions_have_their_exit_codes(
     assert "two is left out: no cloud" in capsys.readouterr().err
     failing = ExperimentReport((make_run(failed=True),), 0, 1, False)
     assert tell_comparison(Comparison(failing, {}, None, done.page, done.document), Speaker(), False) == SOME_FAILED
+    choosy = ExperimentReport(
+        (replace(make_run("adam", failed=True), refused=True, message="no gradient"),), 0, 1, False
+    )
+    capsys.readouterr()
+    assert tell_comparison(Comparison(choosy, {}, None, done.page, done.document), Speaker(), False) == ALL_DONE
+    assert "adam is left out: no gradient" in capsys.readouterr().err
     stopped = Comparison(ExperimentReport((make_run(),), 0, 3, True), {})
     assert tell_comparison(stopped, Speaker(), as_json=False) == INTERRUPTED
     assert "after 1 of 3 runs; run the same command again" in capsys.readouterr().err

@@ -84,7 +84,7 @@ def test_a_run_that_found_nothing_is_worse_than_all_others() -> None:
     assert merit.loss == (math.inf, math.inf, math.inf)
     assert merit.aocc_evaluations == pytest.approx((0.25 + 1.0) / 4)
     only = Analysis.of_runs(runs[4:5] + RUNS, [facts()], ["a", "c"], 100, None)
-    assert only.extreme_runs("c") is None
+    assert only.methods == ("a",), "a method that evaluated nothing has no rank"
 
 
 def test_a_comparison_of_nothing_is_refused() -> None:

@@ -16,6 +16,7 @@ from cloudfit.optimisers.base import (
     StopReason,
     run_logged,
 )
+from render.errors import ParameterError
 from tests.support.comparison import bowl_problem
 
 
@@ -94,6 +95,20 @@ def test_a_method_that_finds_nothing_leaves_a_failed_run() -> None:
     record = perform(bowl_problem(), task(Broken()))
     assert (record.failed, record.evaluations, record.loss) == (True, 0, float("inf"))
     assert record.message == "RuntimeError: broken at once"
+
+
+def test_a_method_that_does_not_take_the_problem_has_refused_it_and_not_failed_later() -> None:
+    class Choosy:
+        def minimise(self, *arguments: object) -> OptimiserResult:
+            raise ParameterError("choose a differentiable loss")
+
+    record = perform(bowl_problem(), task(Choosy()))
+    assert (record.failed, record.refused, record.message) == (True, True, "choose a differentiable loss")
+
+    def fail() -> StopReason:
+        raise ParameterError("in the middle")
+
+    assert not perform(bowl_problem(), task(Scripted(fail, []))).refused
 
 
 def test_ctrl_c_leaves_no_run() -> None:
