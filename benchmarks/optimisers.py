@@ -145,7 +145,7 @@ def _report(arguments: argparse.Namespace, comparison: Comparison) -> Outcome:
         ),
     ]
     if arguments.out is not None:
-        notes.append(f"page: {comparison.page}")
+        tell_progress(f"page: {comparison.page}")
     return Outcome(values, (method_table(document), problem_table(document)), tuple(notes))
 
 

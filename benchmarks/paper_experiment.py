@@ -21,6 +21,7 @@ from benchmarks.common import (
     add_volume_argument,
     make_table,
     set_threads,
+    tell_progress,
 )
 from benchmarks.optimiser_problems import benchmark_scenes, photograph_sources, traced_sources
 from benchmarks.optimisers import Teller, stop_if_interrupted
@@ -150,5 +151,5 @@ def _report(arguments: argparse.Namespace, comparison: Comparison) -> Outcome:
         f"floor of the loss: {problem['floor']:.3f}; best loss found: {problem['best_loss']:.3f}",
     ]
     if arguments.out is not None:
-        notes.append(f"best and worst pictures: {comparison.page}")
+        tell_progress(f"best and worst pictures: {comparison.page}")
     return Outcome(values, (make_table(problem["name"], columns, rows),), tuple(notes))

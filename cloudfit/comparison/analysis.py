@@ -140,7 +140,16 @@ class ProblemRuns:
         return np.array(spent), succeeded
 
     def areas(self, method: str, by_seconds: bool) -> Floats:
-        """Anytime area of each run of a method."""
+        """Anytime area of each run of a method; computed once."""
+        if (method, by_seconds) not in self._areas:
+            self._areas[method, by_seconds] = self._compute_areas(method, by_seconds)
+        return self._areas[method, by_seconds]
+
+    @cached_property
+    def _areas(self) -> dict[tuple[str, bool], Floats]:
+        return {}
+
+    def _compute_areas(self, method: str, by_seconds: bool) -> Floats:
         end = self.seconds_horizon if by_seconds else self.evaluations_horizon
         begin = end / 10.0**TIME_DECADES if by_seconds else 1.0
         return np.array(

@@ -1,8 +1,9 @@
 """One run: a method on a problem from a seed, timed, started again while budget is left, and scored once more at its end."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -18,6 +19,9 @@ RESTARTING = (StopReason.CONVERGED, StopReason.STAGNATION, StopReason.ITERATIONS
 
 SEED_STRIDE = 100_003
 """Between the seeds of the starts of a run: larger than any number of runs."""
+
+
+Answer = TypeVar("Answer")
 
 
 class TimedObjective:
@@ -38,10 +42,9 @@ class TimedObjective:
 
     def __call__(self, population: Tensor) -> Tensor:
         """The losses of the objective."""
-        losses: Tensor = self._timed(self._objective, population)
-        return losses
+        return self._timed(self._objective, population)
 
-    def _timed(self, compute, population: Tensor):  # type: ignore[no-untyped-def]
+    def _timed(self, compute: Callable[[Tensor], Answer], population: Tensor) -> Answer:
         started = time.perf_counter()
         answer = compute(population)
         ended = time.perf_counter()

@@ -101,9 +101,9 @@ def anytime_area(trace: Trace, clock: Floats, begin: float, end: float, best: fl
         raise ParameterError(f"expected 0 < begin < end, got {begin} and {end}")
     inner = clock[(clock > begin) & (clock < end)]
     times = np.concatenate([[begin], inner, [end]])
-    losses = np.array([trace.best_at(time, clock) for time in times[:-1]])
     steps = np.diff(np.log(times))
-    return float((score(excess(losses, best, floor)) * steps).sum() / steps.sum())
+    scores = score(excess(trace.best_at(times[:-1], clock), best, floor))
+    return float((scores * steps).sum() / steps.sum())
 
 
 def runtimes(runs: Sequence[RunRecord], best: float, floor: float, by_seconds: bool) -> Floats:

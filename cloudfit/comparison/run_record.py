@@ -62,10 +62,10 @@ class Trace:
         reached = np.flatnonzero(self.loss <= target)
         return float(self.seconds[reached[0]]) if len(reached) else math.inf
 
-    def best_at(self, time: float, clock: Floats) -> float:
-        """Best loss at a reading of `self.evaluation` or `self.seconds`; infinite before the first."""
-        number = int(np.searchsorted(clock, time, side="right"))
-        return float(self.loss[number - 1]) if number else math.inf
+    def best_at(self, times: Floats | float, clock: Floats) -> Floats:
+        """Best loss at readings, of any shape, of `self.evaluation` or `self.seconds`; infinite before the first."""
+        losses = np.concatenate([[math.inf], self.loss])
+        return losses[np.searchsorted(clock, times, side="right")]
 
 
 @dataclass(frozen=True, eq=False)
