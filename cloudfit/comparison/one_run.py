@@ -14,8 +14,8 @@ from cloudfit.comparison.run_record import Floats, RunRecord, Trace
 from cloudfit.optimisers.base import PENALTY, Budget, Minimiser, Objective, OptimiserResult, Progress, StopReason
 from render.errors import ParameterError
 
-RESTARTING = (StopReason.CONVERGED, StopReason.STAGNATION, StopReason.ITERATIONS)
-"""Reasons of a method's own to stop, after which it is started again from another seed."""
+RESTARTING = (StopReason.CONVERGED, StopReason.STAGNATION, StopReason.ITERATIONS, StopReason.TARGET)
+"""Reasons of a method's own to stop, after which it is started again from another seed; a target of the budget's is none."""
 
 SEED_STRIDE = 100_003
 """Between the seeds of the starts of a run: larger than any number of runs."""
@@ -122,7 +122,8 @@ def _search(
 
         seed = task.seed + len(results) * SEED_STRIDE
         results.append(task.minimiser.minimise(timed, dimension, rest, seed, report))
-        if not task.restarts or results[-1].stop_reason not in RESTARTING:
+        reason, target = results[-1].stop_reason, task.budget.target
+        if not task.restarts or reason not in RESTARTING or (reason is StopReason.TARGET and target is not None):
             return
 
 

@@ -72,9 +72,16 @@ def test_a_method_that_ends_of_itself_is_started_again_until_the_budget_is_spent
     assert perform(bowl_problem(), task(method, restarts=False)).evaluations == 4
 
 
-@pytest.mark.parametrize("reason", [StopReason.EVALUATIONS, StopReason.SECONDS, StopReason.TARGET])
+@pytest.mark.parametrize("reason", [StopReason.EVALUATIONS, StopReason.SECONDS])
 def test_a_method_that_its_budget_ends_is_not_started_again(reason: StopReason) -> None:
     assert perform(bowl_problem(), task(Scripted(lambda: reason, []))).starts == 1
+
+
+def test_a_target_of_the_methods_own_is_no_end_of_the_run_but_one_of_the_budget_is() -> None:
+    method = Scripted(lambda: StopReason.TARGET, [])
+    assert perform(bowl_problem(), task(method)).starts == 3
+    aimed = Task("method", method, 7, Budget(10, None, 1e-9), True, "print")
+    assert perform(bowl_problem(), aimed).starts == 1
 
 
 def test_a_failure_keeps_what_was_found() -> None:
