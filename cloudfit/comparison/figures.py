@@ -20,7 +20,7 @@ from cloudfit.comparison.run_record import Floats
 from cloudfit.plots import ACCENT, FAINT, INK, SETTINGS, draw_rules, to_svg
 
 COLOURS = ("#e08a1e", "#3d7dd8", "#3b9c5f", "#d9534f", "#8e5bd0", "#1fa7a0", "#b5799a", "#8a6d3b")
-DASHES: tuple[object, ...] = ("solid", (0, (5, 2)), (0, (1.5, 1.5)))
+DASHES: tuple[object, ...] = ("solid", (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
 
 DRAWN_STRONGLY = 12
 """Methods with a colour and a name in a figure of curves; the others are faint lines."""
@@ -121,7 +121,10 @@ def time_figure(analysis: Analysis) -> str:
 
 
 def _draw_distributions(axes: Axes, times: Mapping[str, Floats], ranking: Sequence[str], begin: float) -> None:
-    """A curve for each method from a time on, or from the first that is known: the best in colours, the others faint."""
+    """A curve for each method from a time on, or from the first that is known: the best in colours, the others faint.
+
+    A method's colour and dashes are its place in `times`, the same in every figure.
+    """
     reached = np.concatenate([values[np.isfinite(values)] for values in times.values()])
     positive = reached[reached > 0]
     low, high = (float(positive.min()), float(positive.max())) if len(positive) else (1.0, 10.0)
@@ -129,7 +132,9 @@ def _draw_distributions(axes: Axes, times: Mapping[str, Floats], ranking: Sequen
     grid = np.geomspace(low, max(high, 2.0 * low), GRID_POINTS)
     for method in ranking[DRAWN_STRONGLY:]:
         axes.step(grid, distribution(times[method], grid), where="post", color=FAINT, linewidth=1.0)
-    for number, method in enumerate(ranking[:DRAWN_STRONGLY]):
+    places = {method: number for number, method in enumerate(times)}
+    for method in ranking[:DRAWN_STRONGLY]:
+        number = places[method]
         style = DASHES[number // len(COLOURS) % len(DASHES)]
         colour = COLOURS[number % len(COLOURS)]
         curve = distribution(times[method], grid)

@@ -1,7 +1,7 @@
 import xml.etree.ElementTree as ElementTree
 
 from cloudfit.comparison.analysis import Analysis
-from cloudfit.comparison.figures import DRAWN_STRONGLY, figures, runtime_figure
+from cloudfit.comparison.figures import COLOURS, DRAWN_STRONGLY, figures, runtime_figure
 from cloudfit.plots import FAINT, INK
 from tests.support.comparison import facts, make_run
 
@@ -30,6 +30,20 @@ def test_of_many_methods_the_best_are_named() -> None:
     svg = runtime_figure(analysis(DRAWN_STRONGLY + 3), by_seconds=False)
     named = [n for n in range(DRAWN_STRONGLY + 3) if f"method {n}</text>" in svg]
     assert named == list(range(DRAWN_STRONGLY))
+
+
+def test_a_method_has_the_same_colour_whatever_its_rank() -> None:
+    # "late" is ahead in evaluations, "soon" in seconds.
+    runs = [
+        make_run("soon", steps=((1, 0.1, 9.0), (60, 0.2, 1.0))),
+        make_run("late", steps=((1, 0.1, 9.0), (2, 9.0, 1.0))),
+    ]
+    compared = Analysis.of_runs(runs, [facts()], ["soon", "late"], 100, None)
+    assert compared.ranking(False) == compared.ranking(True)[::-1] == ["late", "soon"]
+    for by_seconds, order in ((False, (1, 0)), (True, (0, 1))):
+        svg = runtime_figure(compared, by_seconds)
+        places = [svg.index(COLOURS[number]) for number in order]
+        assert places == sorted(places), "drawn in the order of the ranking, each in its own colour"
 
 
 def test_equal_runs_give_equal_bytes_and_other_runs_do_not() -> None:
