@@ -6,14 +6,38 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from benchmarks import accuracy, evaluation, masks, photographs, promises, recovery, stack, stack_cost, tradeoff
+from benchmarks import (
+    accuracy,
+    evaluation,
+    masks,
+    optimisers,
+    paper_experiment,
+    photographs,
+    promises,
+    recovery,
+    stack,
+    stack_cost,
+    tradeoff,
+)
 from benchmarks.common import Benchmark, first_line, publish
 from render.errors import CloudfitError
 
 BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType(
     {
         module.__name__.rpartition(".")[2]: Benchmark(first_line(module.__doc__), module.add_arguments, module.run)
-        for module in (stack_cost, evaluation, stack, accuracy, tradeoff, recovery, promises, masks, photographs)
+        for module in (
+            stack_cost,
+            evaluation,
+            stack,
+            accuracy,
+            tradeoff,
+            recovery,
+            promises,
+            masks,
+            photographs,
+            optimisers,
+            paper_experiment,
+        )
     }
 )
 
@@ -39,6 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CloudfitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 3
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
     publish(parsed.name, benchmark.question, parsed.quick, outcome, parsed.json)
     return 0
 

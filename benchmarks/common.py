@@ -43,7 +43,7 @@ QUICK_QUALITY = Quality(1.0, Effort(4, 4_000, 40_000, 4), Effort(4, 4_000, 40_00
 
 SUN_AZIMUTH_DEG, SUN_ELEVATION_DEG = 220.0, 40.0
 
-PACKAGES = ("torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "nlopt")
+PACKAGES = ("torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "nlopt", "cma")
 
 
 @dataclass(frozen=True)

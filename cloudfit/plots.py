@@ -19,7 +19,7 @@ CHANNEL_COLOURS = {"red": "#d9534f", "green": "#3b9c5f", "blue": "#3d7dd8"}
 
 ACCENT = "#e08a1e"
 
-_SETTINGS: dict[Any, Any] = {
+SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",
     "font.size": 10,
     "text.color": INK,
@@ -42,7 +42,7 @@ def histogram_figure(photograph: Tensor, picture: Tensor) -> str:
     Returns:
         An SVG element.
     """
-    with matplotlib.rc_context({**_SETTINGS, "svg.hashsalt": "histogram"}):
+    with matplotlib.rc_context({**SETTINGS, "svg.hashsalt": "histogram"}):
         figure = Figure(figsize=(10.5, 2.7), layout="constrained")
         panels = figure.subplots(1, 3, sharey=True)
         first, second = photograph.numpy(), picture.numpy()
@@ -51,11 +51,11 @@ def histogram_figure(photograph: Tensor, picture: Tensor) -> str:
             panel.fill_between(levels, 100 * wanted, step="mid", color=colour, alpha=0.35, linewidth=0)
             panel.step(levels, 100 * got, where="mid", color=INK, linewidth=1.0)
             panel.set(xlim=(0, levels[-1]), ylim=(0, None), xticks=[0, 64, 128, 192, 255], title=name)
-            _rule(panel)
+            draw_rules(panel)
         panels[0].set_ylim(0, 100 * _readable_top(first, second))
         panels[0].set_ylabel("pixels [%]")
         panels[1].set_xlabel("display level")
-        return _to_svg(figure, "Histograms of the clouds: photograph filled, picture as a line")
+        return to_svg(figure, "Histograms of the clouds: photograph filled, picture as a line")
 
 
 def convergence_figure(history: Sequence[float | None], floor: float | None) -> str:
@@ -68,7 +68,7 @@ def convergence_figure(history: Sequence[float | None], floor: float | None) -> 
     Returns:
         An SVG element.
     """
-    with matplotlib.rc_context({**_SETTINGS, "svg.hashsalt": "convergence"}):
+    with matplotlib.rc_context({**SETTINGS, "svg.hashsalt": "convergence"}):
         figure = Figure(figsize=(10.5, 2.4), layout="constrained")
         axes = figure.subplots()
         losses = np.array([np.nan if loss is None else loss for loss in history], dtype=float)
@@ -83,8 +83,8 @@ def convergence_figure(history: Sequence[float | None], floor: float | None) -> 
         known = losses[np.isfinite(losses)]
         top = 1.1 * max(float(known.max(initial=0.0)), floor or 0.0)
         axes.set(xlabel="iteration", ylabel="best loss", ylim=(0, top or 1.0), xlim=(1, max(2, len(losses))))
-        _rule(axes)
-        return _to_svg(figure, "Best loss after each iteration")
+        draw_rules(axes)
+        return to_svg(figure, "Best loss after each iteration")
 
 
 def _readable_top(first: np.ndarray, second: np.ndarray) -> float:
@@ -94,13 +94,14 @@ def _readable_top(first: np.ndarray, second: np.ndarray) -> float:
     return 1.08 * top if top > 0 else 1.0
 
 
-def _rule(axes: Axes) -> None:
+def draw_rules(axes: Axes) -> None:
+    """Faint horizontal lines behind what is drawn."""
     axes.grid(axis="y", color=FAINT, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.tick_params(length=0)
 
 
-def _to_svg(figure: Figure, label: str) -> str:
+def to_svg(figure: Figure, label: str) -> str:
     """The SVG element alone, with a label for those who cannot see it, and a size that follows the page."""
     stream = io.StringIO()
     figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})

@@ -45,7 +45,7 @@ def photograph_page(
         figures["histogram"] = histogram_figure(photograph, picture)
         search, best = document["search"], document["candidates"][0]
         figures["convergence"] = convergence_figure(search["history"], best["floor"])
-    template = _environment().get_template("photograph.html")
+    template = page_environment().get_template("photograph.html")
     return template.render(result=document, figures=figures, title=document["photograph"]["file"])
 
 
@@ -57,7 +57,7 @@ def folder_page(entries: Sequence[tuple[str, Mapping[str, Any]]], unreadable: Se
         unreadable: sentences about results that cannot be read.
     """
     counts = {status: sum(document["status"] == status for _, document in entries) for status in STATUS_WORDS}
-    template = _environment().get_template("index.html")
+    template = page_environment().get_template("index.html")
     return template.render(entries=entries, unreadable=unreadable, counts=counts, title="Clouds fitted to photographs")
 
 
@@ -75,7 +75,8 @@ def write_folder_page(out: Path) -> Path:
     return page
 
 
-def _environment() -> Environment:
+def page_environment() -> Environment:
+    """Templates of the pages, with the filters that write numbers, durations, colours and units."""
     environment = Environment(
         loader=PackageLoader("cloudfit"),
         autoescape=True,

@@ -51,8 +51,8 @@ class Speaker:
         self._errors.print(f"[bold red]error:[/] {escape(message)}")
 
     @contextlib.contextmanager
-    def progress(self, total: int | None = None) -> Iterator["Bars"]:
-        """Progress bars on stderr; none where there is no terminal."""
+    def progress(self, total: int | None = None, what: str = "photographs") -> Iterator["Bars"]:
+        """Progress bars on stderr, one of them for the total of what is counted; none where there is no terminal."""
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
@@ -63,7 +63,7 @@ class Speaker:
         with Progress(
             *columns, console=self._errors, transient=True, disable=hidden, refresh_per_second=REFRESH_PER_SECOND
         ) as progress:
-            yield Bars(progress, total)
+            yield Bars(progress, total, what)
 
 
 class _Listener(logging.Handler):
@@ -80,20 +80,20 @@ class _Listener(logging.Handler):
 class Bars:
     """A bar for the stage at hand, and one for the whole where a total is known."""
 
-    def __init__(self, progress: Progress, total: int | None) -> None:
+    def __init__(self, progress: Progress, total: int | None, what: str) -> None:
         self._progress = progress
-        self._whole: TaskID | None = None if total is None else progress.add_task("photographs", total=total)
+        self._whole: TaskID | None = None if total is None else progress.add_task(what, total=total)
         self._stage = progress.add_task("", total=1.0, visible=False)
 
     def stage(self, stage: str, share: float) -> None:
         """Show the share of a stage that is done."""
         self._progress.update(self._stage, description=escape(stage), completed=share, visible=True)
 
-    def finished(self) -> None:
-        """One more of the whole."""
+    def finished(self, count: int = 1) -> None:
+        """So many more of the whole."""
         self._progress.update(self._stage, visible=False)
         if self._whole is not None:
-            self._progress.advance(self._whole)
+            self._progress.advance(self._whole, count)
 
 
 @contextlib.contextmanager

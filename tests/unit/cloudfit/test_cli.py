@@ -9,7 +9,7 @@ from cloudfit import __version__
 from cloudfit.cli import app
 
 PROJECT = Path(__file__).resolve().parents[3]
-COMMANDS = ("fit", "precompute", "render", "info", "demo")
+COMMANDS = ("fit", "precompute", "render", "compare", "info", "demo")
 RUNNER = CliRunner(env={"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"})
 
 
@@ -60,6 +60,9 @@ def test_wrong_usage_is_code_2(arguments: list[str]) -> None:
     [
         (["fit", "gone.jpg"], "gone.jpg: no such file"),
         (["fit", str(PROJECT / "cloudfit" / "examples"), "--loss", "l7"], "no loss is called 'l7'"),
+        (["compare", "gone.jpg"], "gone.jpg: no such file"),
+        (["compare"], "nothing to compare on"),
+        (["compare", "--synthetic", "1", "--method", "best"], "no optimiser is called 'best'"),
         (["info", "gone.npz"], "gone.npz"),
         (["render", "gone/result.json", "--out", "x.png"], "there is no such file"),
         (["precompute", "--volume", "gone.vol"], "gone.vol"),

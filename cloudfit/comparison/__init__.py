@@ -1,0 +1,1 @@
+"""Comparison of optimisers on cloud problems: runs that can be resumed, statistics with their sources, tables, logs and a page."""
