@@ -1,5 +1,6 @@
 """Settings of a stack that differ from a preset in one knob each."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -7,7 +8,7 @@ from types import MappingProxyType
 from benchmarks.parameter_sets import Constant
 from cloudfit.colour_histogram import LEVELS
 from cloudfit.quality import Quality
-from precompute import smoothing, source_group
+from precompute import smoothing, source_group, source_model
 from precompute.error_budget import Effort
 
 
@@ -139,10 +140,15 @@ def _step(base: Setting) -> list[Setting]:
 
 
 def _smoothing(base: Setting) -> list[Setting]:
+    variants: dict[str, Constant] = {
+        "none": (smoothing.Neighbourhood, "levels", lambda neighbours, source, expected: [source]),
+        "without a model": (source_model, "POINTS_PER_FEATURE", math.inf),
+        "model alone": (smoothing, "LEVELS", 0),
+        "1 level": (smoothing, "LEVELS", 1),
+    }
     return [
-        base.with_recipe("smoothing", f"{levels} levels", replace(base.recipe, constants=constants))
-        for levels in range(smoothing.LEVELS)
-        for constants in [((smoothing, "LEVELS", levels),)]
+        base.with_recipe("smoothing", name, replace(base.recipe, constants=(constant,)))
+        for name, constant in variants.items()
     ]
 
 

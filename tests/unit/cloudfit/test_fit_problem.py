@@ -197,15 +197,18 @@ def test_gradients_are_those_of_differences_also_on_the_bounds(name: str) -> Non
     losses, gradient = problem.with_gradient(points)
     assert gradient.dtype == torch.float64
     assert torch.equal(losses, problem(points))
-    # So short a step crosses no kink: a pixel that changes its level, or two that change their rank.
-    expected = differences(problem, points, 1e-7)
+    # So short a step seldom crosses a kink (a pixel that changes its level, two that change their rank); where it does, differences
+    # with other steps differ.
+    expected, other = differences(problem, points, 1e-7), differences(problem, points, 3e-7)
+    smooth = (expected - other).norm(dim=1) < 3e-5 * expected.norm(dim=1) + 1e-6
+    assert int(smooth.sum()) >= 20
     error = (gradient - expected).norm(dim=1)
     size = expected.norm(dim=1)
     # Histograms that share no level have no slope at all, and the differences nothing but rounding.
-    sloping = size > 1e-6
+    sloping = (size > 1e-6) & smooth
     assert int(sloping.sum()) > 15
     assert float((error / size)[sloping].max()) < 1e-4
-    assert float(gradient[~sloping].abs().sum()) < 1e-5
+    assert float(gradient[size <= 1e-6].abs().sum()) < 1e-5
     assert float(((gradient + expected).norm(dim=1) / size)[sloping].min()) > 1.0
     # In float32 the same point may lie on another side of a kink, so the bulk is compared.
     single = problem_in_place(name)
