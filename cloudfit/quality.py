@@ -58,7 +58,7 @@ def quality_for(tolerance: float) -> Quality:
 QUALITIES: dict[str, Quality] = {
     "draft": Quality(
         0.25,
-        Effort(66, 30_000, 1_500_000, 8, True, 0.10),
+        Effort(66, 20_000, 420_000, 6, True, 0.10),
         Effort(66, 60_000, 1_000_000, 16, True, 0.05),
         7,
         9,
@@ -66,7 +66,7 @@ QUALITIES: dict[str, Quality] = {
     ),
     "standard": Quality(
         0.5,
-        Effort(66, 100_000, 9_000_000, 16, True, 0.02),
+        Effort(66, 100_000, 5_000_000, 16, True, 0.02),
         Effort(66, 150_000, 3_000_000, 16, True, 0.02),
         11,
         11,

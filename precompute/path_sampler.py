@@ -31,7 +31,7 @@ from render.density_grid import DensityGrid
 from render.phase_functions import evaluate_phase_function, rotate_direction, sample_phase_cosine
 from render.random_streams import counter_uniform
 
-FORWARD_EXPONENT = 0.5
+FORWARD_EXPONENT = 1.0
 """Anchors are drawn in proportion to 1 / (1 - |g|) to this power."""
 
 
