@@ -18,8 +18,10 @@ from benchmarks.common import (
     SHARED_VOLUME,
     Outcome,
     add_output_argument,
+    available_cores,
     make_table,
     peak_memory_mb,
+    set_threads,
     spread,
     stopwatch,
     tell_progress,
@@ -85,7 +87,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--suns", nargs="+", choices=SUNS, default=list(SUNS))
     parser.add_argument("--sets", type=int, default=SETS, help="random parameter sets of each case")
     parser.add_argument("--pixels", type=int, default=400, help="that the reference traces")
-    parser.add_argument("--paths", type=int, default=2_000_000, help="of each reference")
+    parser.add_argument("--paths", type=int, default=1_000_000, help="of one round of each reference")
+    parser.add_argument(
+        "--noise", type=float, default=0.03, help="of the reference, at which no further round is traced"
+    )
+    parser.add_argument("--rounds", type=int, default=8, help="at most: thin clouds scatter few paths")
+    parser.add_argument("--threads", type=int, default=available_cores())
     add_output_argument(parser, "folder of the reference images, which are kept and found again")
 
 
@@ -100,7 +107,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Compare."""
     if arguments.quick:
         arguments.volumes, arguments.suns, arguments.quality = ["quick"], ["side"], ["draft"]
-        arguments.sets, arguments.pixels, arguments.paths = 2, 20, 2000
+        arguments.sets, arguments.pixels, arguments.paths, arguments.rounds = 2, 20, 2000, 1
+    set_threads(arguments.threads)
     rows, values = [], []
     for case in (Case(volume, sun) for volume in arguments.volumes for sun in arguments.suns):
         scene = _Scene(case, arguments)
@@ -120,7 +128,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         "estimate / error",
     )
     notes = (
-        f"reference: {arguments.paths} paths over {arguments.pixels} pixels to order {REFERENCE_ORDERS}",
+        f"reference: up to {arguments.rounds} times {arguments.paths} paths over {arguments.pixels} pixels to order {REFERENCE_ORDERS}, "
+        f"until its noise is {arguments.noise:.1%}",
         "errors are relative RMS errors over pixels; an error below the reference's noise / 4 cannot be told from it",
     )
     return Outcome({"cases": values}, (make_table("Error of stacks", columns, rows),), notes)
@@ -140,7 +149,16 @@ class _Scene:
         azimuth, elevation = (radians_from_degrees(angle) for angle in SUNS[case.sun])
         self.sun = torch.tensor(direction_from_angles(azimuth, elevation))
         self.largest = largest_optical_length(self.grid, self.camera)
-        self.traced = TracedPixels(self.grid, self.camera, self.sun, arguments.pixels, arguments.paths, arguments.out)
+        self.traced = TracedPixels(
+            self.grid,
+            self.camera,
+            self.sun,
+            arguments.pixels,
+            arguments.paths,
+            arguments.out,
+            arguments.noise,
+            arguments.rounds,
+        )
 
     def compare(self, quality: str) -> dict[str, object]:
         """Build a stack and compare it."""

@@ -1,5 +1,6 @@
 """Random parameter sets of what a fit may search, the table that covers them, and path-traced pixels to compare with."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ ASYMMETRY, DEPTH, ALBEDO = (0.0, 0.9), (0.05, 60.0), (0.8, 1.0)
 REFERENCE_ORDERS = 256
 
 SETS_SEED, PIXELS_SEED, REFERENCE_SEED = 7, 11, 100
+
+SEEDS_A_ROUND = 1000
 
 
 @dataclass(frozen=True)
@@ -94,8 +97,10 @@ class TracedPixels:
     Args:
         grid, camera, sun: the scene.
         pixels: how many.
-        paths: of each reference, over all pixels.
+        paths: of one round over all pixels.
         folder: of the references, or None.
+        noise: relative RMS at which no further round is traced.
+        rounds: at most.
     """
 
     grid: DensityGrid
@@ -104,6 +109,8 @@ class TracedPixels:
     pixels: int
     paths: int
     folder: Path | None
+    noise: float = math.inf
+    rounds: int = 1
 
     def compare(self, stack: ScatteringStack, one: ParameterSet, number: int) -> Disagreement:
         """The stack's image against the reference; `number` tells the random streams of the sets apart."""
@@ -130,25 +137,32 @@ class TracedPixels:
             "camera": self.camera,
             "sun": self.sun,
             "pixels": pixels,
-            "values": (one.asymmetry, one.optical_depth, one.albedo, samples, number),
+            "values": (one.asymmetry, one.optical_depth, one.albedo, samples, number, self.noise, self.rounds),
         }
         file = None if self.folder is None else self.folder / f"reference-{table_key(question)[:16]}.npz"
         if file is not None and file.exists():
             kept = np.load(file)
             return pixels, torch.from_numpy(kept["radiance"]), torch.from_numpy(kept["variance"])
-        image = trace_reference(
-            self.grid,
-            self.camera,
-            self.sun,
-            extinction=one.optical_depth / float(optical_length.max()),
-            asymmetry=one.asymmetry,
-            albedo=one.albedo,
-            orders=REFERENCE_ORDERS,
-            samples=samples,
-            seed=REFERENCE_SEED + number,
-            pixels=pixels,
-        )
-        radiance, variance = image.radiance[pixels].double(), image.radiance_variance[pixels].double()
+        means, variances = [], []
+        for turn in range(self.rounds):
+            image = trace_reference(
+                self.grid,
+                self.camera,
+                self.sun,
+                extinction=one.optical_depth / float(optical_length.max()),
+                asymmetry=one.asymmetry,
+                albedo=one.albedo,
+                orders=REFERENCE_ORDERS,
+                samples=samples,
+                seed=REFERENCE_SEED + number + SEEDS_A_ROUND * turn,
+                pixels=pixels,
+            )
+            means.append(image.radiance[pixels].double())
+            variances.append(image.radiance_variance[pixels].double())
+            radiance = torch.stack(means).mean(0)
+            variance = torch.stack(variances).mean(0) / len(means)
+            if float((variance.mean() / radiance.square().mean()).sqrt()) <= self.noise:
+                break
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)
             np.savez(file, radiance=radiance.numpy(), variance=variance.numpy())

@@ -15,14 +15,23 @@ from torch import Tensor
 from precompute.fused_flight import march
 from precompute.path_sampler import ASYMMETRY_DRAW, EXTINCTION_DRAW, Draw
 from render.fused import announce_compilation, run_in_threads
-from render.fused_trilinear import Floats
-from render.random_streams import FIRST_FACTOR, GOLDEN_RATIO, SECOND_FACTOR
+from render.fused_scattering import (
+    GOLDEN,
+    HALF,
+    Doubles,
+    Floats,
+    Vector,
+    chord,
+    cosine_between,
+    mix,
+    phase,
+    turn,
+    uniform,
+)
 
 CHUNK = 64
 """Points whose paths are traced by one call."""
 
-Doubles = NDArray[np.float64]
-Vector = tuple[float, float, float]
 Medium = tuple[Floats, Floats, float, float]
 """Densities; corners and voxel size of their box; marching step; farthest optical length to the sun."""
 Table = tuple[Floats, Floats, Doubles, Doubles, Doubles]
@@ -34,84 +43,20 @@ Points = tuple[Floats, Floats, Floats, NDArray[np.int64], NDArray[np.int64]]
 Sums = tuple[Doubles, Doubles, Doubles, Doubles, Doubles, Doubles]
 """Sums and squares of the weights, and space for products, densities and the two factors of a vertex."""
 
-GOLDEN, FIRST, SECOND = (np.uint64(factor) for factor in (GOLDEN_RATIO, FIRST_FACTOR, SECOND_FACTOR))
-S27, S30, S31, S41 = (np.uint64(places) for places in (27, 30, 31, 41))
 CONTINUATION, COSINE, AZIMUTH, FLIGHT, CONNECTION = (int(draw) for draw in list(Draw)[:5])
 BRANCH, BRANCH_COSINE, BRANCH_AZIMUTH, BRANCH_FLIGHT = (int(draw) for draw in list(Draw)[5:])
 DRAWS = len(Draw)
-ONE, TWO, HALF = np.float32(1.0), np.float32(2.0), np.float32(0.5)
-CELL = np.float32(2.0**-23)
-TINY = np.finfo(np.float32).tiny
-
-
-@njit(nogil=True, cache=True, inline="always")
-def _mix(state: np.uint64) -> np.uint64:
-    state = (state ^ (state >> S30)) * FIRST
-    state = (state ^ (state >> S27)) * SECOND
-    return state ^ (state >> S31)
-
-
-@njit(nogil=True, cache=True, inline="always")
-def _uniform(key: np.uint64, dimension: int) -> float:
-    bits = _mix(key + np.uint64(dimension + 1) * GOLDEN)
-    return (np.float32(bits >> S41) + HALF) * CELL
 
 
 @njit(nogil=True, cache=True)
-def _choose(uniform: float, odds: Doubles) -> int:
+def _choose(number: float, odds: Doubles) -> int:
     """Number of an anchor; the odds sum to one."""
     reached = 0.0
     for anchor in range(len(odds) - 1):
         reached += odds[anchor]
-        if uniform < reached:
+        if number < reached:
             return anchor
     return len(odds) - 1
-
-
-@njit(nogil=True, cache=True, inline="always")
-def _phase(cosine: float, asymmetry: float) -> float:
-    size = abs(asymmetry)
-    peak = (ONE - size) * (ONE - size) + TWO * max(size - asymmetry * cosine, np.float32(0.0))
-    return (1.0 - asymmetry * asymmetry) / (4.0 * math.pi * peak * math.sqrt(peak))
-
-
-@njit(nogil=True, cache=True)
-def _turn(axis: Vector, asymmetry: float, first: float, second: float) -> Vector:
-    """Direction drawn from a lobe around an axis; see `sample_phase_cosine` and `rotate_direction`."""
-    xi = TWO * first - ONE
-    q = (ONE - asymmetry * asymmetry) / (ONE + asymmetry * xi)
-    cosine = HALF * ((ONE + q) * (asymmetry + xi) / (ONE + asymmetry * xi) + asymmetry)
-    cosine = min(max(cosine, -ONE), ONE)
-    x, y, z = axis
-    sign = ONE if z >= 0.0 else -ONE
-    a = -ONE / (sign + z)
-    b = x * y * a
-    sine = np.float32(math.sqrt(max((ONE - cosine) * (ONE + cosine), np.float32(0.0))))
-    azimuth = np.float32(2.0 * math.pi) * second
-    u, v = sine * np.float32(math.cos(azimuth)), sine * np.float32(math.sin(azimuth))
-    turned_x = u * (ONE + sign * x * x * a) + v * b + cosine * x
-    turned_y = u * (sign * b) + v * (sign + y * y * a) + cosine * y
-    turned_z = -u * (sign * x) - v * y + cosine * z
-    scale = ONE / np.float32(math.sqrt(turned_x * turned_x + turned_y * turned_y + turned_z * turned_z))
-    return turned_x * scale, turned_y * scale, turned_z * scale
-
-
-@njit(nogil=True, cache=True)
-def _chord(box: Floats, position: Vector, direction: Vector) -> tuple[float, float]:
-    """Distances at which a ray enters and leaves the box; equal if it misses. See `DensityGrid.intersect`."""
-    near, far = np.float32(0.0), np.float32(np.inf)
-    for axis in range(3):
-        p, d = position[axis], direction[axis]
-        if abs(d) < TINY:
-            if p < box[0, axis] or p > box[1, axis]:
-                return np.float32(0.0), np.float32(0.0)
-        else:
-            inverse = ONE / d
-            one, other = (box[0, axis] - p) * inverse, (box[1, axis] - p) * inverse
-            near, far = max(near, min(one, other)), min(far, max(one, other))
-    if far > near:
-        return near, far
-    return np.float32(0.0), np.float32(0.0)
 
 
 @njit(nogil=True, cache=True)
@@ -119,7 +64,7 @@ def _fly(
     values: Floats, box: Floats, stride: float, position: Vector, direction: Vector, target: float
 ) -> tuple[bool, Vector, float]:
     """One free flight: whether it ended inside, where, and the optical length passed. `box` holds corners and voxel size."""
-    near, far = _chord(box, position, direction)
+    near, far = chord(box, position, direction)
     steps = max(math.ceil((far - near) / stride), 1)
     length = (far - near) / np.float32(steps)
     if not length > 0.0:
@@ -141,8 +86,8 @@ def _sampled(cosine: float, cosine_sun: float, anchors: Floats, odds: Doubles, d
     """Density of all anchors with which a leg or a branch takes a direction, after the legs before it."""
     mean = 0.0
     for a in range(len(anchors)):
-        branch = anchors[a] * anchors[a] * _phase(cosine_sun, anchors[a])
-        mean += odds[a] * density[a] * (_phase(cosine, anchors[a]) + branch)
+        branch = anchors[a] * anchors[a] * phase(cosine_sun, anchors[a])
+        mean += odds[a] * density[a] * (phase(cosine, anchors[a]) + branch)
     return mean
 
 
@@ -151,13 +96,13 @@ def _scatter(cosine: float, nodes: Floats, anchors: Floats, product: Doubles, de
     """Multiply one scattering into the products, all scaled by the largest density."""
     largest = 0.0
     for a in range(len(anchors)):
-        density[a] *= _phase(cosine, anchors[a])
+        density[a] *= phase(cosine, anchors[a])
         largest = max(largest, density[a])
     scale = 1.0 / largest
     for a in range(len(anchors)):
         density[a] *= scale
     for g in range(len(nodes)):
-        product[g] *= _phase(cosine, nodes[g]) * scale
+        product[g] *= phase(cosine, nodes[g]) * scale
 
 
 @njit(nogil=True, cache=True)
@@ -184,11 +129,6 @@ def _deposit(share: float, of_g: Doubles, of_s: Doubles, sums: Doubles, squares:
             squares[g, s] += value * value
 
 
-@njit(nogil=True, cache=True, inline="always")
-def _cosine(one: Vector, other: Vector) -> float:
-    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
-
-
 @njit(nogil=True, cache=True, error_model="numpy")
 def _add_vertex(
     medium: Medium,
@@ -211,10 +151,10 @@ def _add_vertex(
     asymmetry, asymmetry_anchors, odds, extinction, extinction_anchors = table
     of_node, of_square, product, density, of_g, of_s = sums
     turned, cosine, passed = leg
-    cosine_sun = _cosine(sun, turned)
+    cosine_sun = cosine_between(sun, turned)
     weight = 1.0 / (_sampled(cosine, cosine_sun, asymmetry_anchors, odds, density) * reached)
     for g in range(len(asymmetry)):
-        of_g[g] = product[g] * _phase(cosine, asymmetry[g]) * _phase(cosine_sun, asymmetry[g]) * weight
+        of_g[g] = product[g] * phase(cosine, asymmetry[g]) * phase(cosine_sun, asymmetry[g]) * weight
     sun_length = _fly(values, box, stride, position, sun, farthest)[2]
     _connect(order, passed, sun_length, extinction, extinction_anchors, of_s)
     for knot in range(len(shares)):
@@ -232,32 +172,32 @@ def _trace_path(
     continuation, connection, shares = plan
     product, density = sums[2], sums[3]
     product[:], density[:] = 1.0, 1.0
-    lobe = asymmetry_anchors[_choose(_uniform(key, ASYMMETRY_DRAW), odds)]
+    lobe = asymmetry_anchors[_choose(uniform(key, ASYMMETRY_DRAW), odds)]
     thickness = extinction_anchors.shape[1]
-    anchor = np.float32(extinction_anchors[0, min(int(_uniform(key, EXTINCTION_DRAW) * thickness), thickness - 1)])
+    anchor = np.float32(extinction_anchors[0, min(int(uniform(key, EXTINCTION_DRAW) * thickness), thickness - 1)])
     passed, reached = np.float32(0.0), 1.0
     for order in range(2, len(continuation) + 2):
         dimension = 2 + DRAWS * (order - 2)
-        if not _uniform(key, dimension + CONTINUATION) < continuation[order - 2]:
+        if not uniform(key, dimension + CONTINUATION) < continuation[order - 2]:
             return
         reached *= continuation[order - 2]
         linked, share = reached * connection[order - 2], shares[order - 2]
-        if _uniform(key, dimension + BRANCH) < connection[order - 2] * lobe * lobe:
-            first, second = _uniform(key, dimension + BRANCH_COSINE), _uniform(key, dimension + BRANCH_AZIMUTH)
-            turned = _turn(sun, lobe, first, second)
-            target = -np.float32(math.log(_uniform(key, dimension + BRANCH_FLIGHT))) / anchor
+        if uniform(key, dimension + BRANCH) < connection[order - 2] * lobe * lobe:
+            first, second = uniform(key, dimension + BRANCH_COSINE), uniform(key, dimension + BRANCH_AZIMUTH)
+            turned = turn(sun, lobe, first, second)
+            target = -np.float32(math.log(uniform(key, dimension + BRANCH_FLIGHT))) / anchor
             hit, end, used = _fly(values, box, stride, position, turned, target)
             if hit:
-                leg = (turned, _cosine(direction, turned), passed + used)
+                leg = (turned, cosine_between(direction, turned), passed + used)
                 _add_vertex(medium, table, share, order, end, leg, sun, linked, sums)
-        turned = _turn(direction, lobe, _uniform(key, dimension + COSINE), _uniform(key, dimension + AZIMUTH))
-        target = -np.float32(math.log(_uniform(key, dimension + FLIGHT))) / anchor
+        turned = turn(direction, lobe, uniform(key, dimension + COSINE), uniform(key, dimension + AZIMUTH))
+        target = -np.float32(math.log(uniform(key, dimension + FLIGHT))) / anchor
         hit, position, used = _fly(values, box, stride, position, turned, target)
         if not hit:
             return
         passed += used
-        cosine = _cosine(direction, turned)
-        if _uniform(key, dimension + CONNECTION) < connection[order - 2]:
+        cosine = cosine_between(direction, turned)
+        if uniform(key, dimension + CONNECTION) < connection[order - 2]:
             _add_vertex(medium, table, share, order, position, (turned, cosine, passed), sun, linked, sums)
         _scatter(cosine, asymmetry, asymmetry_anchors, product, density)
         direction = turned
@@ -289,7 +229,7 @@ def _trace_points(
         for half in range(2):
             means[:] = 0.0
             for path in range(half * size, (half + 1) * size):
-                key = _mix(stream + np.uint64(counters[p] + path + 1) * GOLDEN)
+                key = mix(stream + np.uint64(counters[p] + path + 1) * GOLDEN)
                 sums = (means, squares, product, density, of_g, of_s)
                 _trace_path(medium, table, plan, start, heading, towards, key, sums)
             for s in range(thickness):

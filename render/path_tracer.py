@@ -7,9 +7,11 @@ its k-th collision is
 
     p(cos_sun; g) T(x_k, sun),     times albedo^k and the sun's intensity in the total.
 
-Nothing is shared with the precomputed tables but the density look-up and the phase function.
+Nothing is shared with the precomputed tables but the density look-up, the phase function and the source of random numbers. A path's
+random numbers depend on the seed, its pixel and its own number only; `fused_path_tracer` follows the same paths one by one.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -18,11 +20,18 @@ from torch import Tensor
 from render.camera import Camera, unit_direction
 from render.density_grid import DensityGrid
 from render.errors import ParameterError
-from render.phase_functions import check_asymmetry, evaluate_phase_function, sample_directions
-from render.random_streams import child_generator
+from render.fused import fused_loops_wanted
+from render.phase_functions import check_asymmetry, evaluate_phase_function, rotate_direction, sample_phase_cosine
+from render.random_streams import counter_keys, counter_uniform, stream_number
 
 LANES = 1 << 17
-"""Paths in flight at once. Part of the result's definition (one random stream per batch of lanes), hence not a parameter."""
+"""Paths in flight at once; bounds the memory."""
+
+PATHS_PER_PIXEL = 1 << 32
+"""Numbers that the paths of a pixel may have."""
+
+SPENT, SURVIVAL = 0.01, 0.5
+"""Transmittance to the sun below which Russian roulette ends its estimate, and the probability to go on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +58,16 @@ class ReferenceImage:
 
 
 @dataclass(frozen=True, eq=False)
-class _Medium:
+class Medium:
+    """A volume at one extinction under the sun."""
+
     grid: DensityGrid
     extinction: float
     sun: Tensor
 
     @property
     def majorant(self) -> float:
+        """Largest extinction [1/m]."""
         return self.extinction * self.grid.maximum
 
 
@@ -103,15 +115,23 @@ def trace_reference(
     if pixels is not None:
         seen = pixels[torch.isin(pixels, seen)]
     sums = _Sums(len(origin), orders)
-    medium = _Medium(grid, extinction, unit_direction(sun_direction))
-    paths = len(seen) * samples
-    for batch, first in enumerate(range(0, paths, LANES)):
-        path = torch.arange(first, min(first + LANES, paths))
-        pixel = seen[path // samples]
-        start = origin[pixel] + near[pixel, None] * direction[pixel]
-        generator = child_generator(seed, batch)
-        _trace_batch(medium, pixel, start, direction[pixel], asymmetry, albedo, sums, generator)
+    medium = Medium(grid, extinction, unit_direction(sun_direction))
+    start = origin[seen] + near[seen, None] * direction[seen]
+    rays = _Rays(seen, start, direction[seen], samples, stream_number(seed))
+    trace = _trace_fused if fused_loops_wanted(grid.density) else _trace
+    trace(medium, rays, asymmetry, albedo, sums)
     return sums.finish(samples)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """Numbers of the pixels, where their rays enter the volume and whereto, paths of each, and the stream of random numbers."""
+
+    pixel: Tensor
+    start: Tensor
+    direction: Tensor
+    samples: int
+    stream: int
 
 
 class _Sums:
@@ -148,70 +168,120 @@ class _Sums:
         )
 
 
+def _trace_fused(medium: Medium, rays: _Rays, asymmetry: float, albedo: float, sums: _Sums) -> None:
+    """All paths in one fused loop."""
+    from render.fused_path_tracer import trace_paths  # needs numba
+
+    box = torch.stack([medium.grid.lower, medium.grid.upper, medium.grid.voxel_size])
+    found = trace_paths(
+        medium.grid.table.padded,
+        box,
+        medium.grid.maximum,
+        medium.majorant,
+        medium.sun,
+        rays.pixel * PATHS_PER_PIXEL,
+        rays.start,
+        rays.direction,
+        rays.samples,
+        rays.stream,
+        asymmetry,
+        albedo,
+        len(sums.order_sum),
+    )
+    for name, values in zip(("order_sum", "order_square", "total_sum", "total_square", "collided"), found, strict=True):
+        getattr(sums, name)[..., rays.pixel] = values
+
+
+def _trace(medium: Medium, rays: _Rays, asymmetry: float, albedo: float, sums: _Sums) -> None:
+    """All paths, a batch of lanes at a time."""
+    for first in range(0, len(rays.pixel) * rays.samples, LANES):
+        path = torch.arange(first, min(first + LANES, len(rays.pixel) * rays.samples))
+        ray = path // rays.samples
+        counter = rays.pixel[ray] * PATHS_PER_PIXEL + path % rays.samples
+        draws = _Draws(counter_keys(rays.stream, counter), torch.zeros_like(path))
+        _trace_batch(medium, rays.pixel[ray], rays.start[ray], rays.direction[ray], asymmetry, albedo, sums, draws)
+
+
+class _Draws:
+    """Random numbers of paths, each of which counts its own."""
+
+    def __init__(self, keys: Tensor, drawn: Tensor) -> None:
+        self._keys, self._drawn = keys, drawn
+
+    def next(self, lane: Tensor) -> Tensor:
+        """One more number of some of the paths `(lane,)`."""
+        number = counter_uniform(self._keys[lane], self._drawn[lane])
+        self._drawn[lane] += 1
+        return number
+
+    def keep(self, lanes: Tensor) -> "_Draws":
+        """The numbers of some of the paths."""
+        return _Draws(self._keys[lanes], self._drawn[lanes])
+
+
 def _trace_batch(
-    medium: _Medium,
+    medium: Medium,
     pixel: Tensor,
     position: Tensor,
     direction: Tensor,
     asymmetry: float,
     albedo: float,
     sums: _Sums,
-    generator: torch.Generator,
+    draws: _Draws,
 ) -> None:
     """Trace one batch of paths through all orders and add them to the sums."""
     total = torch.zeros(len(pixel), dtype=torch.float64)
     lane = torch.arange(len(pixel))
     for order in range(len(sums.order_sum)):
-        collided, position = _fly(medium, position, direction, generator)
-        lane, position, direction = lane[collided], position[collided], direction[collided]
+        collided, position = _fly(medium, position, direction, draws)
+        lane, position, direction, draws = lane[collided], position[collided], direction[collided], draws.keep(collided)
         if order == 0:
             sums.collided.index_add_(0, pixel[lane], torch.ones(len(lane), dtype=torch.float64))
         if len(lane) == 0:
             break
         cosine = direction @ medium.sun
-        transmittance = _estimate_sun_transmittance(medium, position, generator)
+        transmittance = _estimate_sun_transmittance(medium, position, draws)
         value = (evaluate_phase_function(cosine, asymmetry) * transmittance).double()
         sums.add_order(order, pixel[lane], value)
         total[lane] += albedo ** (order + 1) * value
-        direction = sample_directions(direction, torch.full_like(cosine, asymmetry), generator)
+        every = torch.arange(len(lane))
+        turn = sample_phase_cosine(torch.full_like(cosine, asymmetry), draws.next(every))
+        direction = rotate_direction(direction, turn, 2.0 * math.pi * draws.next(every))
     sums.add_path(pixel, total)
 
 
-def _fly(medium: _Medium, position: Tensor, direction: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+def _fly(medium: Medium, position: Tensor, direction: Tensor, draws: _Draws) -> tuple[Tensor, Tensor]:
     """Free flights by delta tracking: which paths collide `(ray,)`, and where `(ray, 3)`."""
     _, far = medium.grid.intersect(position, direction)
     distance = torch.zeros_like(far)
     collided = torch.zeros(len(far), dtype=torch.bool)
     active = torch.nonzero(far > 0).flatten()
     while len(active):
-        random = torch.rand(2, len(active), generator=generator)
-        travelled = distance[active] - torch.log1p(-random[0]) / medium.majorant
+        travelled = distance[active] - draws.next(active).log() / medium.majorant
         distance[active] = travelled
         inside = travelled < far[active]
         density = _density_along(medium.grid, position[active], direction[active], travelled.minimum(far[active]))
-        hit = inside & (random[1] * medium.grid.maximum < density)
+        hit = inside & (draws.next(active) * medium.grid.maximum < density)
         collided[active[hit]] = True
         active = active[inside & ~hit]
     return collided, position + distance[:, None] * direction
 
 
-def _estimate_sun_transmittance(medium: _Medium, position: Tensor, generator: torch.Generator) -> Tensor:
-    """Unbiased transmittance towards the sun `(ray,)` by ratio tracking, with Russian roulette below one per cent."""
+def _estimate_sun_transmittance(medium: Medium, position: Tensor, draws: _Draws) -> Tensor:
+    """Unbiased transmittance towards the sun `(ray,)` by ratio tracking, with Russian roulette once it is spent."""
     direction = medium.sun.expand_as(position)
     _, far = medium.grid.intersect(position, direction)
     transmittance = torch.ones_like(far)
     distance = torch.zeros_like(far)
     active = torch.nonzero(far > 0).flatten()
     while len(active):
-        random = torch.rand(2, len(active), generator=generator)
-        travelled = distance[active] - torch.log1p(-random[0]) / medium.majorant
+        travelled = distance[active] - draws.next(active).log() / medium.majorant
         distance[active] = travelled
         inside = travelled < far[active]
         density = _density_along(medium.grid, position[active], direction[active], travelled.minimum(far[active]))
         kept = torch.where(inside, transmittance[active] * (1.0 - density / medium.grid.maximum), transmittance[active])
-        spent = inside & (kept < 0.01)
-        survives = random[1] < 0.5
-        kept = torch.where(spent, torch.where(survives, 2.0 * kept, 0.0), kept)
+        survives = draws.next(active) < SURVIVAL
+        kept = torch.where(inside & (kept < SPENT), torch.where(survives, kept / SURVIVAL, 0.0), kept)
         transmittance[active] = kept
         active = active[inside & (kept > 0.0)]
     return transmittance

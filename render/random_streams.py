@@ -48,19 +48,22 @@ def counter_keys(stream: int, counter: Tensor) -> Tensor:
     return _mix(stream + (counter + 1) * _signed(GOLDEN_RATIO))
 
 
-def counter_uniform(keys: Tensor, dimension: int) -> Tensor:
+def counter_uniform(keys: Tensor, dimension: int | Tensor) -> Tensor:
     """Uniform random numbers inside (0, 1), a pure function of key and dimension.
 
     The middle of one of 2^23 equal cells, so neither a logarithm nor a division by it needs a guard.
 
     Args:
         keys: from `counter_keys`.
-        dimension: which random number of each key, from 0.
+        dimension: which random number of each key, from 0; one for all, or int64 of the same shape.
 
     Returns:
         float32 of the same shape.
     """
-    bits = _mix(keys + _signed((dimension + 1) * GOLDEN_RATIO))
+    if isinstance(dimension, int):
+        bits = _mix(keys + _signed((dimension + 1) * GOLDEN_RATIO))
+    else:
+        bits = _mix(keys + (dimension + 1) * _signed(GOLDEN_RATIO))
     return (_shift(bits, 41).to(torch.float32) + 0.5) * 2.0**-23
 
 
