@@ -367,3 +367,18 @@ def test_a_first_node_that_float32_rounds_up_does_not_stop_the_gradient() -> Non
         lowest = float(tables.extinction[0].double())
         at, above = (gradient(model, [0.2, lowest * share, 0.9])[1] for share in (1.0, 1.0 + 1e-6))
         assert at == pytest.approx(above, rel=1e-4)
+
+
+def test_single_precision_composes_what_double_precision_does() -> None:
+    """Over the whole box and beyond it, bounds included; errors are of the order of the rounding of the tables' logarithms."""
+    generator = torch.Generator().manual_seed(8)
+    unit = torch.rand(400, 3, generator=generator, dtype=torch.float64)
+    unit = unit.masked_fill(unit < 0.05, 0.0).masked_fill(unit > 0.95, 1.0)
+    lowest, highest = float(EXTINCTION[0].double().log()), float(EXTINCTION[-1].double().log())
+    arguments = (0.85 * unit[:, 0], (lowest - 5.0 + (highest - lowest + 7.0) * unit[:, 1]).exp(), unit[:, 2])
+    model = ScatteringStack(knotted(0.98, 0.2))
+    single, double = model(*(values.float() for values in arguments)), model.double()(*arguments)
+    for name in ("single", "multiple", "transmittance", "opacity"):
+        found, exact = getattr(single, name).double(), getattr(double, name)
+        scale = exact.abs().amax(1, keepdim=True).clamp(min=1e-30)
+        assert float(((found - exact) / scale).abs().max()) < 3e-5
