@@ -1,7 +1,7 @@
 """Does the reference path tracer confirm what the stack promised for the best candidates of real photographs?
 
-Each photograph is fitted on a stack; the winner is rendered again by the reference path tracer at the resolution of the stack, with all
-orders to the 256th, and scored with the same sky, air and histogram. Whatever the search has exploited in the noise or bias of the stack
+Each photograph is fitted on a stack; the winner is rendered again by the reference path tracer at the resolution of the stack, with every
+order of scattering, and scored with the same sky, air and histogram. Whatever the search has exploited in the noise or bias of the stack
 comes out as a difference of the two losses.
 """
 
@@ -49,7 +49,10 @@ from render.scattering_stack import CloudLayers
 PHOTOGRAPHS = ("altocumulus", "cumulus_kloofendal", "cumulus_meadow", "cumulus_noon", "cumulus_picos", "dusk")
 """Beginnings of the names of the photographs that are fitted; the first of each."""
 
-REFERENCE_ORDERS = 256
+REFERENCE_ORDERS = 100_000
+"""In a cloud of albedo one light is scattered until it comes out; the last of it, in a deep one, after tens of thousands of times."""
+
+LARGEST_ROUNDS = 200
 
 ACCEPTED = 0.03
 
@@ -86,7 +89,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--names", nargs="+", default=list(PHOTOGRAPHS), help="beginnings of the files' names")
     parser.add_argument("--quality", choices=QUALITIES, default="standard")
     parser.add_argument("--width", type=int, default=320, help="of stack and reference; 4:3")
-    parser.add_argument("--samples", type=int, default=256, help="paths of the reference per pixel")
+    parser.add_argument("--samples", type=int, default=128, help="paths of one round of the reference per pixel")
+    parser.add_argument(
+        "--noise", type=float, default=0.02, help="of the reference, at which no further round is traced"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=available_cores())
     parser.add_argument("--out", type=Path, help="folder of the stack and of the pictures")
@@ -144,20 +150,9 @@ def _compare(
     best = _search(problem, options, 1 if arguments.quick else options.searches)
     physical = problem.space.to_physical(best.best[None]).to(torch.float32)
     parameters = problem.space.as_dict(physical[0])
-    with stopwatch() as seconds:
-        image = trace_reference(
-            scene.grid,
-            scene.camera,
-            scene.sun_direction,
-            extinction=parameters["extinction"],
-            asymmetry=parameters["asymmetry"],
-            albedo=parameters["albedo"],
-            orders=REFERENCE_ORDERS,
-            samples=arguments.samples,
-            seed=arguments.seed,
-        )
     pixels = problem.stack.pixel[problem.counted]
-    traced, variance = image.radiance[pixels], image.radiance_variance[pixels].double()
+    with stopwatch() as seconds:
+        traced, variance = _trace(scene, parameters, pixels, arguments)
     loss, seen, air, grey = _score(problem, physical, traced)
     picture = torch.zeros(scene.camera.height * scene.camera.width, 3)
     picture[pixels] = seen
@@ -174,6 +169,33 @@ def _compare(
         air.tolist(),
         seconds[0],
     )
+
+
+def _trace(
+    scene: Scene, parameters: dict[str, float], pixels: Tensor, arguments: argparse.Namespace
+) -> tuple[Tensor, Tensor]:
+    """Light of the pixels and its variance, in rounds until the noise is small enough: thin clouds scatter few paths."""
+    total, variance = (torch.zeros(len(pixels), dtype=torch.float64) for _ in range(2))
+    for turn in range(1, LARGEST_ROUNDS + 1):
+        image = trace_reference(
+            scene.grid,
+            scene.camera,
+            scene.sun_direction,
+            extinction=parameters["extinction"],
+            asymmetry=parameters["asymmetry"],
+            albedo=parameters["albedo"],
+            orders=REFERENCE_ORDERS,
+            samples=arguments.samples,
+            seed=arguments.seed + 1000 * turn,
+            pixels=pixels,
+            recorded=1,
+        )
+        total += image.radiance[pixels]
+        variance += image.radiance_variance[pixels]
+        noise = float((variance.mean() / total.square().mean().clamp(min=1e-300)).sqrt())
+        if noise <= arguments.noise or arguments.quick:
+            break
+    return (total / turn).float(), variance / turn**2
 
 
 def _search(problem: FitProblem, options: FitOptions, runs: int) -> OptimiserResult:

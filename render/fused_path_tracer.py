@@ -90,13 +90,14 @@ def _trace_path(
     key: int,
     asymmetry: float,
     albedo: float,
+    orders: int,
     ray: int,
     sums: Sums,
 ) -> None:
     """Follow one path and add it to the sums of its ray."""
     order_sum, order_square, total_sum, total_square, collided = sums
     total, drawn, power = 0.0, 0, 1.0
-    for order in range(len(order_sum)):
+    for order in range(orders):
         hit, position, drawn = _fly(medium, position, direction, key, drawn)
         if not hit:
             break
@@ -105,8 +106,9 @@ def _trace_path(
         transmittance, drawn = _estimate_transmittance(medium, position, sun, key, drawn)
         value = phase(cosine_between(direction, sun), asymmetry) * transmittance
         power *= albedo
-        order_sum[order, ray] += value
-        order_square[order, ray] += value * value
+        if order < len(order_sum):
+            order_sum[order, ray] += value
+            order_square[order, ray] += value * value
         total += power * value
         direction = turn(direction, asymmetry, uniform(key, drawn), uniform(key, drawn + 1))
         drawn += 2
@@ -124,6 +126,7 @@ def _trace_rays(
     stream: int,
     asymmetry: float,
     albedo: float,
+    orders: int,
     sums: Sums,
     first: int,
     last: int,
@@ -134,7 +137,7 @@ def _trace_rays(
         direction = (ahead[ray, 0], ahead[ray, 1], ahead[ray, 2])
         for sample in range(samples):
             key = mix(stream + np.uint64(counters[ray] + sample + 1) * GOLDEN)
-            _trace_path(medium, sun, position, direction, key, asymmetry, albedo, ray, sums)
+            _trace_path(medium, sun, position, direction, key, asymmetry, albedo, orders, ray, sums)
 
 
 @torch.library.custom_op("cloudfit::trace_reference_paths", mutates_args=())
@@ -152,6 +155,7 @@ def trace_paths(
     asymmetry: float,
     albedo: float,
     orders: int,
+    recorded: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Trace paths along rays and sum their contributions.
 
@@ -168,12 +172,13 @@ def trace_paths(
         stream: from `stream_number`.
         asymmetry, albedo: of the medium.
         orders: largest number of scatterings.
+        recorded: orders with sums of their own.
 
     Returns:
         Sums and sums of squares of the orders `(order, ray)`, those of the whole `(ray,)`, and paths that collided `(ray,)`; float64.
     """
     announce_compilation("fused_path_tracer", _trace_rays.stats.cache_path)
-    order_sums = [torch.zeros(orders, len(start), dtype=torch.float64) for _ in range(2)]
+    order_sums = [torch.zeros(recorded, len(start), dtype=torch.float64) for _ in range(2)]
     ray_sums = [torch.zeros(len(start), dtype=torch.float64) for _ in range(3)]
     medium = (values.numpy(), box.numpy(), np.float32(maximum), np.float32(majorant))
     towards = tuple(np.float32(component) for component in sun.tolist())
@@ -182,7 +187,7 @@ def trace_paths(
     numbers, lobe, key = counters.numpy(), np.float32(asymmetry), np.uint64(stream)
 
     def work(first: int, last: int) -> None:
-        _trace_rays(medium, towards, rays, numbers, samples, key, lobe, albedo, sums, first, last)
+        _trace_rays(medium, towards, rays, numbers, samples, key, lobe, albedo, orders, sums, first, last)
 
     run_in_threads(work, len(start), CHUNK)
     return order_sums[0], order_sums[1], ray_sums[0], ray_sums[1], ray_sums[2]

@@ -83,6 +83,7 @@ def trace_reference(
     samples: int,
     seed: int = 0,
     pixels: Tensor | None = None,
+    recorded: int | None = None,
 ) -> ReferenceImage:
     """Path trace a cloud lit by the sun.
 
@@ -97,6 +98,8 @@ def trace_reference(
         samples: paths per pixel, at least two.
         seed: of the random streams.
         pixels: numbers of those to trace `(pixel,)`, all by default; the others stay as if they saw no cloud.
+        recorded: orders that get an image of their own, all by default; the sum holds every one. In a bright thick cloud thousands
+            of orders count, and their images would not fit the memory.
 
     Returns:
         Means and variances for a sun of unit intensity.
@@ -105,19 +108,21 @@ def trace_reference(
         ParameterError: for a parameter outside its domain.
     """
     check_asymmetry(asymmetry)
-    if not (0.0 <= extinction < float("inf")) or not 0.0 <= albedo <= 1.0 or orders < 1 or samples < 2:
+    kept = orders if recorded is None else recorded
+    if not (0.0 <= extinction < float("inf")) or not 0.0 <= albedo <= 1.0 or not 1 <= kept <= orders or samples < 2:
         raise ParameterError(
-            f"need extinction >= 0, albedo in 0..1, orders >= 1 and samples >= 2, not {extinction}, {albedo}, {orders}, {samples}"
+            "need extinction >= 0, albedo in 0..1, orders >= 1, at most as many recorded and samples >= 2, not "
+            f"{extinction}, {albedo}, {orders}, {kept}, {samples}"
         )
     origin, direction = camera.rays()
     near, far = grid.intersect(origin, direction)
     seen = torch.nonzero(far > near).flatten() if grid.maximum * extinction > 0.0 else torch.empty(0, dtype=torch.long)
     if pixels is not None:
         seen = pixels[torch.isin(pixels, seen)]
-    sums = _Sums(len(origin), orders)
+    sums = _Sums(len(origin), kept)
     medium = Medium(grid, extinction, unit_direction(sun_direction))
     start = origin[seen] + near[seen, None] * direction[seen]
-    rays = _Rays(seen, start, direction[seen], samples, stream_number(seed))
+    rays = _Rays(seen, start, direction[seen], samples, orders, stream_number(seed))
     trace = _trace_fused if fused_loops_wanted(grid.density) else _trace
     trace(medium, rays, asymmetry, albedo, sums)
     return sums.finish(samples)
@@ -125,12 +130,13 @@ def trace_reference(
 
 @dataclass(frozen=True, eq=False)
 class _Rays:
-    """Numbers of the pixels, where their rays enter the volume and whereto, paths of each, and the stream of random numbers."""
+    """Numbers of the pixels, where their rays enter the volume and whereto, paths of each, orders, and the stream of random numbers."""
 
     pixel: Tensor
     start: Tensor
     direction: Tensor
     samples: int
+    orders: int
     stream: int
 
 
@@ -186,6 +192,7 @@ def _trace_fused(medium: Medium, rays: _Rays, asymmetry: float, albedo: float, s
         rays.stream,
         asymmetry,
         albedo,
+        rays.orders,
         len(sums.order_sum),
     )
     for name, values in zip(("order_sum", "order_square", "total_sum", "total_square", "collided"), found, strict=True):
@@ -199,7 +206,9 @@ def _trace(medium: Medium, rays: _Rays, asymmetry: float, albedo: float, sums: _
         ray = path // rays.samples
         counter = rays.pixel[ray] * PATHS_PER_PIXEL + path % rays.samples
         draws = _Draws(counter_keys(rays.stream, counter), torch.zeros_like(path))
-        _trace_batch(medium, rays.pixel[ray], rays.start[ray], rays.direction[ray], asymmetry, albedo, sums, draws)
+        _trace_batch(
+            medium, rays.pixel[ray], rays.start[ray], rays.direction[ray], rays.orders, asymmetry, albedo, sums, draws
+        )
 
 
 class _Draws:
@@ -224,6 +233,7 @@ def _trace_batch(
     pixel: Tensor,
     position: Tensor,
     direction: Tensor,
+    orders: int,
     asymmetry: float,
     albedo: float,
     sums: _Sums,
@@ -232,7 +242,7 @@ def _trace_batch(
     """Trace one batch of paths through all orders and add them to the sums."""
     total = torch.zeros(len(pixel), dtype=torch.float64)
     lane = torch.arange(len(pixel))
-    for order in range(len(sums.order_sum)):
+    for order in range(orders):
         collided, position = _fly(medium, position, direction, draws)
         lane, position, direction, draws = lane[collided], position[collided], direction[collided], draws.keep(collided)
         if order == 0:
@@ -242,7 +252,8 @@ def _trace_batch(
         cosine = direction @ medium.sun
         transmittance = _estimate_sun_transmittance(medium, position, draws)
         value = (evaluate_phase_function(cosine, asymmetry) * transmittance).double()
-        sums.add_order(order, pixel[lane], value)
+        if order < len(sums.order_sum):
+            sums.add_order(order, pixel[lane], value)
         total[lane] += albedo ** (order + 1) * value
         every = torch.arange(len(lane))
         turn = sample_phase_cosine(torch.full_like(cosine, asymmetry), draws.next(every))

@@ -37,6 +37,7 @@ def both(**changes: float) -> tuple[ReferenceImage, ReferenceImage]:
         {"extinction": 40.0, "samples": 8},
         {"extinction": 0.0},
         {"orders": 1},
+        {"orders": 30, "recorded": 2, "albedo": 1.0, "extinction": 5.0},
     ],
 )
 def test_both_loops_follow_the_same_paths(changes: dict[str, float]) -> None:

@@ -89,6 +89,17 @@ def test_albedo_enters_the_total_by_order() -> None:
     assert torch.equal(none.orders, whole.orders)
 
 
+def test_orders_that_are_not_recorded_still_count() -> None:
+    whole, part = (trace(noise_box(), view_north(3, 3, 4.0), orders=20, recorded=kept) for kept in (20, 3))
+    assert part.orders.shape[0] == 3
+    assert torch.equal(part.orders, whole.orders[:3])
+    assert torch.equal(part.radiance, whole.radiance)
+    assert torch.equal(part.radiance_variance, whole.radiance_variance)
+    for recorded in (0, 21):
+        with pytest.raises(ParameterError, match="recorded"):
+            trace(noise_box(), view_north(3, 3, 4.0), orders=20, recorded=recorded)
+
+
 def repeated(samples: int = 100, repeats: int = 60) -> tuple[ReferenceImage, torch.Tensor]:
     images = [trace(uniform_box(), view_north(), orders=3, samples=samples, seed=seed) for seed in range(repeats)]
     return images[0], torch.stack([torch.stack([i.radiance[0], i.radiance_variance[0]]) for i in images])
