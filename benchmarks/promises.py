@@ -52,8 +52,6 @@ PHOTOGRAPHS = ("altocumulus", "cumulus_kloofendal", "cumulus_meadow", "cumulus_n
 REFERENCE_ORDERS = 100_000
 """In a cloud of albedo one light is scattered until it comes out; the last of it, in a deep one, after tens of thousands of times."""
 
-LARGEST_ROUNDS = 200
-
 ACCEPTED = 0.03
 
 
@@ -176,7 +174,7 @@ def _trace(
 ) -> tuple[Tensor, Tensor]:
     """Light of the pixels and its variance, in rounds until the noise is small enough: thin clouds scatter few paths."""
     total, variance = (torch.zeros(len(pixels), dtype=torch.float64) for _ in range(2))
-    for turn in range(1, LARGEST_ROUNDS + 1):
+    for turn in range(1, arguments.rounds + 1):
         image = trace_reference(
             scene.grid,
             scene.camera,
