@@ -94,11 +94,11 @@ def _points(base: Setting) -> list[Setting]:
 def _orders(base: Setting) -> list[Setting]:
     effort = base.effort
     settings = [base.with_effort("orders", "4", replace(effort, orders=4, tail=False))]
-    for orders in (10, 34):
+    for orders in (10, 66):
         for tail in (False, True):
             name = f"{orders}{' + tail' if tail else ''}"
             settings.append(base.with_effort("orders", name, replace(effort, orders=orders, tail=tail)))
-    return [*settings, base.with_effort("orders", "66", replace(effort, orders=66, tail=False))]
+    return [*settings, base.with_effort("orders", "258", replace(effort, orders=258, tail=False))]
 
 
 def _asymmetry_nodes(base: Setting) -> list[Setting]:

@@ -26,7 +26,7 @@ LEAST_GROWTH, MOST_GROWTH = 0.5, 7.0
 """Paths of a further pass over those so far."""
 
 OMITTED_SHARE = 0.25
-"""Of the tolerance that leaving out the highest orders may cost."""
+"""Of the tolerance that leaving out the highest orders may cost at the judged albedos; at an albedo of one, the whole of it."""
 
 
 class StopReason(Enum):
@@ -44,7 +44,7 @@ class Effort:
     """How much work a stack is worth.
 
     Args:
-        orders: largest number of scatterings that is traced, at least two; above four, 6, 10, 18, 34, 66 ... cost least.
+        orders: largest number of scatterings that is traced, at least two; above four, 6, 10, 18, 34, 66, 258 cost least.
         points: source points of each group, about.
         paths: over all groups, about; with a tolerance the most that may be spent.
         strata: positions along each camera ray.

@@ -1,7 +1,8 @@
 """Which scattering orders are traced, which share an image, and how many paths go on to the high ones.
 
-Orders two, three and four have images of their own; the higher ones share those of the knots 6, 10, 18, 34, 66 ... whose distances
-double. An order k between the knots a < k < b adds to both images with the weights for which
+Orders two, three and four have images of their own; the higher ones share those of the knots 6, 10, 18, 34, 66 whose distances
+double, and 258 ... whose distances quadruple: so high an order counts in the brightest clouds only. An order k between the knots
+a < k < b adds to both images with the weights for which
 
     w_a + w_b = 1    and    w_a q^a + w_b q^b = q^k,    q = 0.3^(1/a),
 
@@ -17,6 +18,9 @@ from torch import Tensor
 
 SEPARATE_ORDERS = 4
 """Largest order that has an image of its own."""
+
+FAR_ORDER = 66
+"""From which on the distances of the knots quadruple."""
 
 EXACT_SHARE = 0.3
 """albedo^a at the second albedo for which the sharing is exact."""
@@ -57,7 +61,8 @@ def plan_orders(largest_order: int) -> OrderPlan:
     """Plan for all orders from two up to the largest."""
     knots = list(range(2, min(largest_order, SEPARATE_ORDERS) + 1))
     while knots[-1] < largest_order:
-        knots.append(min(2 * knots[-1] - 2, largest_order))
+        growth = 2 if knots[-1] < FAR_ORDER else 4
+        knots.append(min(growth * (knots[-1] - 2) + 2, largest_order))
     orders = range(2, largest_order + 1)
     shares = torch.zeros(len(orders), len(knots), dtype=torch.float64)
     continuation = torch.ones(len(orders), dtype=torch.float64)

@@ -294,14 +294,28 @@ def _fly_pilot(task: GroupTask, strata: Strata, single: Tensor) -> Pilot:
         columns = table.source[bags.extinction].mean(1).flatten(1)
         rows = embedding_bag(entry[bags.numbers], columns, per_sample_weights=bags.weights, mode="sum")
         mean[:, :, bags.extinction] += rows.double().sum(0).unflatten(0, (len(plan.knots), -1)) / len(rays)
-    powers = task.albedo.max().double() ** torch.tensor(plan.knots)
-    energy = powers[:, None, None] * mean
     phase = evaluate_phase_function(view.direction @ view.sun, task.asymmetry[:, None]).double()
     lit = phase @ single[:, rays].double().T / len(rays)
-    beyond = torch.cat([energy.flip(0).cumsum(0).flip(0), torch.zeros_like(lit)[None]])
-    worst = (beyond / (lit + energy.sum(0)).clamp(min=1e-300)).flatten(1).amax(1)
-    enough = int((worst <= OMITTED_SHARE * task.effort.tolerance).nonzero()[0])
-    return Pilot(plan, enough, float(worst[enough]), mean)
+    knots = torch.tensor(plan.knots)
+    judged = _shares_beyond(float(task.albedo.max()), lit, mean, knots)
+    bright = _shares_beyond(1.0, lit, mean, knots)
+    small = (judged <= OMITTED_SHARE * task.effort.tolerance) & (bright <= task.effort.tolerance)
+    enough = int(small.nonzero()[0])
+    return Pilot(plan, enough, float(judged[enough]), mean)
+
+
+def _shares_beyond(albedo: float, single: Tensor, mean: Tensor, knots: Tensor) -> Tensor:
+    """Share of the light that the images from each on hold, at the node where it is largest `(knot + 1,)`.
+
+    Args:
+        albedo: of the cloud.
+        single: mean of single scattering at albedo one `(asymmetry, extinction)`.
+        mean: of every image `(knot, asymmetry, extinction)`.
+        knots: exponents of the albedo.
+    """
+    energy = (albedo ** knots.double())[:, None, None] * mean
+    beyond = torch.cat([energy.flip(0).cumsum(0).flip(0), torch.zeros_like(single)[None]])
+    return (beyond / (albedo * single + energy.sum(0)).clamp(min=1e-300)).flatten(1).amax(1)
 
 
 def _place_points(view: View, strata: Strata, points: int) -> tuple[Lattice, Tensor]:

@@ -99,7 +99,7 @@ def test_errors_without_smoothing_are_those_between_seeds() -> None:
     real = true_error(16, False, found.mean(0)) * math.sqrt(SEEDS / (SEEDS - 1))
     ratio = estimated(16, False) / real
     assert 0.85 < float(ratio.log().mean().exp()) < 1.15
-    assert 0.7 < float(ratio.min()) < float(ratio.max()) < 1.4
+    assert 0.6 < float(ratio.min()) < float(ratio.max()) < 1.5
 
 
 def test_errors_with_smoothing_count_its_bias() -> None:
@@ -107,7 +107,7 @@ def test_errors_with_smoothing_count_its_bias() -> None:
     real, found = true_error(16, True, truth), estimated(16, True)
     ratio = found / real
     assert 0.75 < float(ratio.log().mean().exp()) < 1.2
-    assert 0.5 < float(ratio.min()) < float(ratio.max()) < 1.6
+    assert 0.5 < float(ratio.min()) < float(ratio.max()) < 2.0
     assert float((real / true_error(16, False, truth)).log().mean().exp()) < 0.8
 
 

@@ -8,6 +8,7 @@ from precompute.order_plan import (
     CONTINUATION,
     DENSE_ORDERS,
     EXACT_SHARE,
+    FAR_ORDER,
     LARGEST_RATIO,
     SEPARATE_ORDERS,
     close_tail,
@@ -24,6 +25,8 @@ KNOTS = {
     18: (2, 3, 4, 6, 10, 18),
     66: (2, 3, 4, 6, 10, 18, 34, 66),
     130: (2, 3, 4, 6, 10, 18, 34, 66, 130),
+    258: (2, 3, 4, 6, 10, 18, 34, 66, 258),
+    2000: (2, 3, 4, 6, 10, 18, 34, 66, 258, 1026, 2000),
 }
 
 DECAYS = {
@@ -48,7 +51,7 @@ def albedo_sums(largest: int, decay: str, albedo: float) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("largest", KNOTS)
-def test_distances_of_the_knots_double(largest: int) -> None:
+def test_distances_of_the_knots_double_and_then_quadruple(largest: int) -> None:
     plan = plan_orders(largest)
     assert plan.knots == KNOTS[largest]
     assert plan.largest_order == largest
@@ -136,7 +139,7 @@ def test_the_tail_of_diffusing_light_is_found(largest: int, ratio: float) -> Non
     assert found.shape == share.shape == (1, 1)
     assert float(found) == pytest.approx(ratio, abs=4e-3 * (1.0 - ratio) + 1e-4)
     last = 0.3 * largest**-1.5 * ratio ** (largest - 2.0)
-    assert float(energy[-1, 0, 0] * share) == pytest.approx(last, rel=0.02)
+    assert float(energy[-1, 0, 0] * share) == pytest.approx(last, rel=0.05 if largest > FAR_ORDER else 0.02)
     geometric = ((0.3 * ratio ** (orders - 2.0)) @ plan.shares).reshape(-1, 1, 1)
     assert float(close_tail(plan, geometric)[0]) > ratio
 

@@ -16,7 +16,7 @@ from tests.support.statistics import passes_z_test, z_scores
 from tests.support.volumes import noise_box, scaled, towards, uniform_box
 
 PLAN = plan_orders(4)
-PATHS = 20_000
+PATHS = 60_000
 SUN = towards(50.0, 25.0)
 AHEAD = torch.tensor([0.0, 1.0, 0.0])
 ASYMMETRY = torch.tensor([-0.3, 0.2, 0.6, 0.85])
