@@ -1,6 +1,5 @@
 """Random parameter sets of what a fit may search, the table that covers them, and path-traced pixels to compare with."""
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -109,7 +108,7 @@ class TracedPixels:
     pixels: int
     paths: int
     folder: Path | None
-    noise: float = math.inf
+    noise: float = 1000.0
     rounds: int = 1
 
     def compare(self, stack: ScatteringStack, one: ParameterSet, number: int) -> Disagreement:
