@@ -15,9 +15,11 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from rich.table import Table
 from torch import Tensor
 
 from benchmarks.common import (
@@ -274,7 +276,7 @@ def forget_peak() -> None:
         Path("/proc/self/clear_refs").write_text("5")
 
 
-def tables_of(values: Mapping[str, object]) -> tuple:
+def tables_of(values: Mapping[str, object]) -> tuple[Table, ...]:
     """The measurements to read."""
     counting, losses, coarse, populations = (
         values[name] for name in ("counting_ms", "losses_ms", "coarse_air", "populations")
@@ -283,67 +285,80 @@ def tables_of(values: Mapping[str, object]) -> tuple:
     assert isinstance(losses, dict)
     assert isinstance(coarse, dict)
     assert isinstance(populations, dict)
+    return (
+        _counting_table(counting),
+        _losses_table(losses, values["counted_pixels"]),
+        _coarse_table(coarse),
+        _populations_table(populations),
+    )
+
+
+def _counting_table(counting: dict[str, dict[str, float]]) -> Table:
     accepted = {"cloudfit": ACCEPTED["counting_ms"], "ratio": ACCEPTED["counting_over_scalar_loop"]}
     names = {"cloudfit": "cloudfit [ms]", "ratio": "cloudfit over scalar loop"}
-    return (
-        make_table(
-            f"histograms of {POPULATION} candidates x {len(AIR_DEPTHS)} hazes x 3 channels",
-            ("way", "median [quartiles]", "accepted"),
-            [
-                (names.get(name, f"{name} [ms]"), show(summary), f"{accepted[name]:g}" if name in accepted else "")
-                for name, summary in counting.items()
-            ],
-        ),
-        make_table(
-            f"whole evaluation, {values['counted_pixels']} pixels [ms]",
-            ("loss", f"{POPULATION} candidates", f"{STARTS} candidates", f"{STARTS} with gradients"),
-            [
-                (
-                    name,
-                    *(
-                        show(ways[way]) if way in ways else ""
-                        for way in ("evaluation", "starts", "starts_with_gradient")
-                    ),
-                )
-                for name, ways in losses.items()
-            ],
-        ),
-        make_table(
-            f"search over the air from every third depth; excess loss in floors of {coarse['floor']:.3f}",
-            ("search", "full [ms]", "coarse [ms]", "mean excess", "99th percentile", "largest", "candidates with any"),
-            [
-                (
-                    name,
-                    show(row["full_ms"]),
-                    show(row["coarse_ms"]),
-                    row["excess_mean"],
-                    row["excess_99th_percentile"],
-                    row["excess_largest"],
-                    f"{row['share_with_excess']:.1%}",
-                )
-                for name, row in coarse.items()
-                if isinstance(row, dict)
-            ],
-        ),
-        make_table(
-            "populations",
+    return make_table(
+        f"histograms of {POPULATION} candidates x {len(AIR_DEPTHS)} hazes x 3 channels",
+        ("way", "median [quartiles]", "accepted"),
+        [
+            (names.get(name, f"{name} [ms]"), show(summary), f"{accepted[name]:g}" if name in accepted else "")
+            for name, summary in counting.items()
+        ],
+    )
+
+
+def _losses_table(losses: dict[str, dict[str, dict[str, float]]], pixels: object) -> Table:
+    return make_table(
+        f"whole evaluation, {pixels} pixels [ms]",
+        ("loss", f"{POPULATION} candidates", f"{STARTS} candidates", f"{STARTS} with gradients"),
+        [
             (
-                "candidates",
-                "evaluation [ms]",
-                "per candidate [ms]",
-                "held before [MiB]",
-                "peak [MiB]",
-                "peak with gradients [MiB]",
-            ),
-            [
-                (
-                    name,
-                    show(row["ms"]),
-                    *(row[key] for key in ("ms_per_candidate", "held_mb", "peak_mb", "peak_with_gradient_mb")),
-                )
-                for name, row in populations.items()
-            ],
+                name,
+                *(show(ways[way]) if way in ways else "" for way in ("evaluation", "starts", "starts_with_gradient")),
+            )
+            for name, ways in losses.items()
+        ],
+    )
+
+
+def _coarse_table(coarse: dict[str, Any]) -> Table:
+    return make_table(
+        f"search over the air from every third depth; excess loss in floors of {coarse['floor']:.3f}",
+        ("search", "full [ms]", "coarse [ms]", "mean excess", "99th percentile", "largest", "candidates with any"),
+        [
+            (
+                name,
+                show(row["full_ms"]),
+                show(row["coarse_ms"]),
+                row["excess_mean"],
+                row["excess_99th_percentile"],
+                row["excess_largest"],
+                f"{row['share_with_excess']:.1%}",
+            )
+            for name, row in coarse.items()
+            if isinstance(row, dict)
+        ],
+    )
+
+
+def _populations_table(populations: dict[str, Any]) -> Table:
+    return make_table(
+        "populations",
+        (
+            "candidates",
+            "evaluation [ms]",
+            "per candidate [ms]",
+            "held before [MiB]",
+            "peak [MiB]",
+            "peak with gradients [MiB]",
         ),
+        [
+            (
+                name,
+                show(row["ms"]),
+                *(row[key] for key in ("ms_per_candidate", "held_mb", "peak_mb", "peak_with_gradient_mb")),
+            )
+            for name, row in populations.items()
+        ],
     )
 
 
