@@ -298,7 +298,7 @@ class FitProblem:
 
     def _refuse(self, physical: Tensor, losses: Tensor) -> Tensor:
         """Losses `(population,)`, the worst for candidates between nodes that miss the accepted error."""
-        usable = self.stack.is_usable(physical[:, 1], physical[:, 2])
+        usable = self.stack.is_usable(physical[:, 1], physical[:, 2], physical[:, 3])
         return torch.where(usable, losses, find_loss(self.loss).worst)
 
 

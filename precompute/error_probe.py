@@ -7,10 +7,12 @@ from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 from precompute.gather import Lattice, Strata, gather_bags
+from precompute.order_plan import SEPARATE_ORDERS, OrderPlan, close_tail
 from precompute.smoothing import LevelErrors, Neighbourhood, measure_levels
 from precompute.source_model import SourceModel
 from precompute.view import View
 from render.phase_functions import evaluate_phase_function
+from render.scattering_stack import sum_tail
 
 PROBE_RAYS = 4000
 """Rays on which errors are estimated."""
@@ -24,11 +26,13 @@ class SmoothSource:
         source: mean of both halves `(point, knot, asymmetry)`.
         of_knots: relative RMS error of each image `(knot, asymmetry)`.
         of_image: of the composed image `(albedo, asymmetry)`.
+        of_bright: the same at albedo one, with the orders beyond the last where they are added `(asymmetry,)`.
     """
 
     source: Tensor
     of_knots: Tensor
     of_image: Tensor
+    of_bright: Tensor
 
 
 class ErrorProbe:
@@ -41,8 +45,9 @@ class ErrorProbe:
         strata: of all rays.
         single: single scattering `(extinction, ray)`.
         asymmetry: nodes `(asymmetry,)`.
-        knots: exponents of the albedo `(knot,)`.
+        plan: of the orders.
         albedo: at which the composed image is judged `(albedo,)`.
+        tail: whether the orders beyond the last are added by their decay.
     """
 
     def __init__(
@@ -53,8 +58,9 @@ class ErrorProbe:
         strata: Strata,
         single: Tensor,
         asymmetry: Tensor,
-        knots: Tensor,
+        plan: OrderPlan,
         albedo: Tensor,
+        tail: bool = False,
     ) -> None:
         self.rays = probe_rays(len(view.pixel))
         part = view.part(self.rays)
@@ -64,7 +70,8 @@ class ErrorProbe:
             self._bags[bags.extinction].append((entry[bags.numbers], bags.weights))
         phase = evaluate_phase_function(part.direction @ view.sun, asymmetry[:, None])
         self._single = (phase[:, None] * single[:, self.rays]).double()
-        self._albedo, self._powers = albedo.double(), albedo.double()[:, None] ** knots
+        self._albedo, self._powers = albedo.double(), albedo.double()[:, None] ** torch.tensor(plan.knots)
+        self._plan, self._tail = plan, tail
 
     def gather(self, node: int, source: Tensor) -> Tensor:
         """Images `(ray, half, asymmetry)` of a source `(point, half, asymmetry)` at one extinction."""
@@ -80,11 +87,24 @@ class ErrorProbe:
             raw: images without smoothing `(ray, half, knot, asymmetry)`.
             smooth: with it, likewise.
         """
-        images = (torch.einsum("ak,rhkg->arhg", self._powers, image.double()) for image in (raw, smooth))
-        errors = LevelErrors.of(*(image.movedim(0, -1) for image in images))
-        lit = torch.einsum("ak,rkg->rga", self._powers, smooth.double().mean(1))
-        total = self._albedo * self._single[:, node].T[:, :, None] + lit
-        return relative_error(errors.total, total.square().mean(0)).T
+        powers = self._powers[:, None, :, None].expand(-1, 2, -1, raw.shape[3])
+        return self._weighted(node, raw, smooth, self._albedo, powers)
+
+    def brightest(self, node: int, raw: Tensor, smooth: Tensor) -> Tensor:
+        """The same at albedo one `(asymmetry,)`; each half closes its tail by itself, since a noisy decay makes a noisy tail."""
+        powers = torch.ones(1, *smooth.shape[1:], dtype=torch.float64)
+        if self._tail and self._plan.largest_order > SEPARATE_ORDERS:
+            ratio, share = close_tail(self._plan, smooth.double().mean(0).movedim(1, 0))
+            beyond = sum_tail(ratio.flatten(), self._plan.largest_order).unflatten(0, ratio.shape)
+            powers[0, :, -1] += share * beyond
+        return self._weighted(node, raw, smooth, torch.ones(1, dtype=torch.float64), powers)[0]
+
+    def _weighted(self, node: int, raw: Tensor, smooth: Tensor, albedo: Tensor, powers: Tensor) -> Tensor:
+        """Relative RMS error `(albedo, asymmetry)` of images with weights `(albedo, half, knot, asymmetry)`."""
+        of_raw, of_smooth = (torch.einsum("ahkg,rhkg->rhag", powers, image.double()) for image in (raw, smooth))
+        errors = LevelErrors.of(of_raw, of_smooth)
+        total = albedo[:, None] * self._single[:, node].T[:, None] + of_smooth.mean(1)
+        return relative_error(errors.total, total.square().mean(0))
 
     def smooth(self, node: int, source: Tensor, neighbours: Neighbourhood, model: SourceModel) -> SmoothSource:
         """Smooth the source at one extinction, image by image so that the levels of one only are held at once.
@@ -107,8 +127,13 @@ class ErrorProbe:
             power = smooth[-1].double().mean(1).square().mean(0)
             of_knots.append(relative_error(errors.gather(0, best[None])[0], power))
             result.append(_choose(levels, best).mean(1))
-        of_image = self.composed(node, torch.stack(raw, dim=2), torch.stack(smooth, dim=2))
-        return SmoothSource(torch.stack(result, dim=1), torch.stack(of_knots), of_image)
+        both = torch.stack(raw, dim=2), torch.stack(smooth, dim=2)
+        return SmoothSource(
+            torch.stack(result, dim=1),
+            torch.stack(of_knots),
+            self.composed(node, *both),
+            self.brightest(node, *both),
+        )
 
 
 def probe_rays(count: int) -> Tensor:

@@ -121,7 +121,7 @@ def _assemble(
     knots, nodes, pixels = len(plan.knots), (len(asymmetry), len(extinction)), len(view.pixel)
     single, multiple = torch.zeros(len(extinction), pixels), torch.zeros(knots, *nodes, pixels)
     standard_error, share = torch.zeros(knots, *nodes), torch.ones(knots, *nodes)
-    image_error, ratio, last = (torch.zeros(nodes) for _ in range(3))
+    image_error, bright_error, ratio, last = (torch.zeros(nodes) for _ in range(4))
     start = 0
     for part in parts:
         group, traced = slice(start, start + len(part.single)), len(part.standard_error)
@@ -129,6 +129,7 @@ def _assemble(
         multiple[:, :, group] = part.multiple
         standard_error[:traced, :, group], share[:traced, :, group] = part.standard_error, part.effective_share
         image_error[:, group] = part.image_error.square().mean(0).sqrt()
+        bright_error[:, group] = part.bright_error
         start = group.stop
     if effort.tail and effort.orders > SEPARATE_ORDERS and pixels:
         ratio, last = (values.to(torch.float32) for values in close_tail(plan, multiple.double().mean(-1)))
@@ -147,6 +148,7 @@ def _assemble(
         tail_share=last,
         standard_error=standard_error,
         image_error=image_error,
+        bright_error=bright_error,
         effective_share=share,
         groups=tuple(asdict(part.report) for part in parts),
     )

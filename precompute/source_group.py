@@ -63,6 +63,7 @@ class GroupImages:
         multiple: `(knot, asymmetry, extinction, pixel)`.
         standard_error: relative RMS error of each image that was traced `(knot, asymmetry, extinction)`.
         image_error: of the composed image `(albedo, asymmetry, extinction)`.
+        bright_error: the same at albedo one, with all orders `(asymmetry, extinction)`.
         effective_share: effective sample size over paths of each image that was traced `(knot, asymmetry, extinction)`.
         report: what was done.
     """
@@ -71,6 +72,7 @@ class GroupImages:
     multiple: Tensor
     standard_error: Tensor
     image_error: Tensor
+    bright_error: Tensor
     effective_share: Tensor
     report: GroupReport
 
@@ -160,8 +162,7 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     clock.lap("paths")
     entry = torch.zeros(lattice.size, dtype=torch.int32)
     entry[table.numbers] = torch.arange(len(table.numbers), dtype=torch.int32)
-    knots = torch.tensor(plan.knots)
-    probe = ErrorProbe(view, lattice, entry, strata, single, task.asymmetry, knots, task.albedo)
+    probe = ErrorProbe(view, lattice, entry, strata, single, task.asymmetry, plan, task.albedo, effort.tail)
     surroundings = measure_surroundings(view.grid, view.camera, view.sun, lattice.positions(table.numbers))
     clock.lap("source model")
     smoother = _Smoother(table, probe, surroundings, task.extinction)
@@ -177,6 +178,7 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
         pilot.complete(multiple, phase[:, None] * single),
         torch.stack([one.of_knots for one in errors], dim=2).to(torch.float32),
         image_error.to(torch.float32),
+        torch.stack([one.of_bright for one in errors], dim=1).to(torch.float32),
         table.effective_share,
         _describe(task, plan, pilot.omitted, table, box_error(image_error), reason, clock),
     )
@@ -340,7 +342,7 @@ def _single_only(task: GroupTask, single: Tensor, multiple: Tensor, pilot: Pilot
     nodes = (len(task.asymmetry), len(task.extinction))
     error = torch.full((len(task.albedo), *nodes), pilot.omitted)
     report = _describe(task, None, pilot.omitted, None, pilot.omitted, StopReason.SINGLE, clock)
-    return GroupImages(single, multiple, torch.zeros(0, *nodes), error, torch.zeros(0, *nodes), report)
+    return GroupImages(single, multiple, torch.zeros(0, *nodes), error, error[0], torch.zeros(0, *nodes), report)
 
 
 def _describe(

@@ -30,6 +30,9 @@ SMALLEST_SHARE = 1e-7
 SMALLEST_PART = 1e-5
 """Of the multiple scattering below which an image is left out of a composition without gradients."""
 
+BRIGHT_ALBEDO = 0.98
+"""From which on an error goes over to that at albedo one."""
+
 SMALLEST_MEAN = 1e-37
 """Mean of an order's image below which it counts as black; float32 holds little less."""
 
@@ -52,6 +55,7 @@ class ScatteringTables:
         tail_share: of order K in the last image `(asymmetry, extinction)`.
         standard_error: relative RMS over the pixels of each image `(knot, asymmetry, extinction)`.
         image_error: the same for the composed image `(asymmetry, extinction)`.
+        bright_error: the same at albedo one, where the orders beyond the last knot count most `(asymmetry, extinction)`.
         effective_share: effective sample size over paths `(knot, asymmetry, extinction)`.
         groups: what the builder did for each group of extinctions, in words and numbers that JSON can hold.
     """
@@ -70,6 +74,7 @@ class ScatteringTables:
     tail_share: Tensor
     standard_error: Tensor
     image_error: Tensor
+    bright_error: Tensor
     effective_share: Tensor
     groups: tuple[dict[str, object], ...] = ()
 
@@ -101,7 +106,7 @@ class ScatteringStack(nn.Module):
 
     Args:
         tables: the precomputed images.
-        largest_image_error: nodes with a larger `image_error` are marked as unusable.
+        largest_image_error: nodes with a larger error are marked as unusable.
     """
 
     pixel: Tensor
@@ -127,6 +132,7 @@ class ScatteringStack(nn.Module):
         self.register_buffer("log_mean_slopes", limited_slopes(tables.extinction.log(), log_mean).flatten(0, 1))
         self.register_buffer("relative", (tables.multiple / mean[..., None]).flatten(1, 2))
         self.register_buffer("usable", tables.image_error <= largest_image_error)
+        self.largest_image_error = largest_image_error
 
     @property
     def orders(self) -> int:
@@ -201,11 +207,18 @@ class ScatteringStack(nn.Module):
         powers[-1] = powers[-1] * (1.0 + share.clamp(min=0.0) * beyond)
         return torch.stack(powers, dim=1)
 
-    def is_usable(self, asymmetry: Tensor, extinction: Tensor) -> Tensor:
-        """Whether all nodes around each candidate meet the accepted error `(population,)` bool."""
+    def estimated_error(self, asymmetry: Tensor, extinction: Tensor, albedo: Tensor) -> Tensor:
+        """Relative RMS error of the composed image at the worst of the nodes around each candidate `(population,)`."""
         columns = _surrounding(self.tables.extinction, extinction)
         rows = _surrounding(self.tables.asymmetry, asymmetry)
-        return torch.stack([self.usable[row, column] for row in rows for column in columns]).all(0)
+        bright = ((albedo - BRIGHT_ALBEDO) / (1.0 - BRIGHT_ALBEDO)).clamp(0.0, 1.0)
+        tables = (self.tables.image_error.to(bright), self.tables.bright_error.to(bright))
+        around = [torch.lerp(*(table[row, column] for table in tables), bright) for row in rows for column in columns]
+        return torch.stack(around).amax(0)
+
+    def is_usable(self, asymmetry: Tensor, extinction: Tensor, albedo: Tensor) -> Tensor:
+        """Whether all nodes around each candidate meet the accepted error at its albedo `(population,)` bool."""
+        return self.estimated_error(asymmetry, extinction, albedo) <= self.largest_image_error
 
 
 def sum_tail(kept: Tensor, largest_order: int) -> Tensor:

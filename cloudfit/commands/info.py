@@ -95,6 +95,7 @@ def _describe_stack(path: Path) -> dict[str, Any]:
         "extinction_nodes_per_m": tables.extinction.tolist(),
         "median_image_error": float(tables.image_error.median()),
         "largest_image_error": float(tables.image_error.max()),
+        "largest_image_error_at_albedo_one": float(tables.bright_error.max()),
         "modelled": describe_groups(tables.groups),
         "provenance": provenance,
         "key": key,

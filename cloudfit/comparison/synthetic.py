@@ -57,9 +57,10 @@ def draw_truth(stack: ScatteringStack, generator: torch.Generator) -> ComposedTr
     while True:
         asymmetry = uniform(float(tables.asymmetry[0]), float(tables.asymmetry[-1]))
         extinction = thin * (thick / thin) ** uniform(0.3, 1.0)
-        if bool(stack.is_usable(torch.tensor([asymmetry]), torch.tensor([extinction]))[0]):
+        albedo = uniform(*ALBEDO)
+        if bool(stack.is_usable(*(torch.tensor([value]) for value in (asymmetry, extinction, albedo)))[0]):
             break
-    albedo, ambient, level = uniform(*ALBEDO), uniform(*AMBIENT), uniform(*BRIGHT_LEVEL)
+    ambient, level = uniform(*AMBIENT), uniform(*BRIGHT_LEVEL)
     steps = torch.randint(0, AIR_STEPS, (3,), generator=generator)
     layers = _layers(stack, asymmetry, extinction, albedo)
     bright = float((layers.single + layers.multiple)[0].quantile(BRIGHT_SHARE))

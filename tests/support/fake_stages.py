@@ -75,6 +75,7 @@ def one_pixel_tables() -> ScatteringTables:
         tail_share=torch.zeros(2, 2),
         standard_error=torch.zeros(3, 2, 2),
         image_error=torch.zeros(2, 2),
+        bright_error=torch.zeros(2, 2),
         effective_share=torch.ones(3, 2, 2),
     )
 

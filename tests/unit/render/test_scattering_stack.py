@@ -39,6 +39,7 @@ def tables_of(pixels: int = PIXELS, asymmetry: Tensor = ASYMMETRY, extinction: T
         tail_share=torch.zeros(shape[1:]),
         standard_error=torch.full(shape, 0.1),
         image_error=torch.full(shape[1:], 0.05),
+        bright_error=torch.full(shape[1:], 0.05),
         effective_share=torch.ones(shape),
     )
 
@@ -238,9 +239,21 @@ def test_nodes_with_large_errors_are_marked() -> None:
     between = (s[:-1] * s[1:]).sqrt()
     g = torch.tensor([0.7, 0.7, 0.7, 0.7, 0.5, 0.7, 0.9, 0.9])
     at = torch.stack([between[0], between[1], between[2], between[3], between[1], 0.5 * s[0], s[2], 2.0 * s[-1]])
-    assert model.is_usable(g, at).tolist() == [True, False, False, True, True, True, False, True]
-    assert stack().is_usable(g, at).all()
-    assert model.is_usable(g[:0], at[:0]).shape == (0,)
+    grey = torch.full_like(g, 0.9)
+    assert model.is_usable(g, at, grey).tolist() == [True, False, False, True, True, True, False, True]
+    assert stack().is_usable(g, at, grey).all()
+    assert model.is_usable(g[:0], at[:0], grey[:0]).shape == (0,)
+
+
+def test_nodes_that_only_bright_clouds_miss_are_marked_for_these() -> None:
+    error = torch.full((4, 6), 0.05)
+    error[1, 2] = 0.25
+    model = ScatteringStack(dataclasses.replace(tables_of(), bright_error=error), largest_image_error=0.1)
+    albedo = torch.tensor([0.5, 0.98, 0.984, 0.986, 1.0])
+    here = ASYMMETRY[1].expand(5), EXTINCTION[2].expand(5)
+    torch.testing.assert_close(model.estimated_error(*here, albedo), torch.tensor([0.05, 0.05, 0.09, 0.11, 0.25]))
+    assert model.is_usable(*here, albedo).tolist() == [True, True, True, False, False]
+    assert model.is_usable(ASYMMETRY[3:], EXTINCTION[5:], torch.ones(1)).all()
 
 
 def test_the_number_of_orders_is_that_of_the_tables() -> None:
