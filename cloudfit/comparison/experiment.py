@@ -160,8 +160,8 @@ def conduct(experiment: Experiment, jobs: int = 1, listener: ExperimentListener 
 
     Args:
         experiment: what is compared.
-        jobs: runs at the same time, each in a process of its own with its share of the cores if more than one; they slow each
-            other down, so wall seconds are to be believed from one job alone.
+        jobs: runs at the same time, each in a process of its own with its share of the cores if more than one; with one
+            thread each their seconds are those of the processor.
         listener: is told what happens.
 
     Returns:

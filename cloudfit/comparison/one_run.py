@@ -24,6 +24,11 @@ SEED_STRIDE = 100_003
 Answer = TypeVar("Answer")
 
 
+def run_clock() -> Callable[[], float]:
+    """Seconds of the processor where a run has one thread, since other work on the machine does not lengthen them; else wall time."""
+    return time.process_time if torch.get_num_threads() == 1 else time.perf_counter
+
+
 class TimedObjective:
     """Counts and times what a method asks for, from outside: all methods are measured by the same clock.
 
@@ -33,7 +38,8 @@ class TimedObjective:
 
     def __init__(self, objective: Objective) -> None:
         self._objective = objective
-        self.began = time.perf_counter()
+        self.clock = run_clock()
+        self.began = self.clock()
         self.seconds = 0.0
         self._known: list[tuple[int, float]] = []
         gradient = getattr(objective, "with_gradient", None)
@@ -45,9 +51,9 @@ class TimedObjective:
         return self._timed(self._objective, population)
 
     def _timed(self, compute: Callable[[Tensor], Answer], population: Tensor) -> Answer:
-        started = time.perf_counter()
+        started = self.clock()
         answer = compute(population)
-        ended = time.perf_counter()
+        ended = self.clock()
         self.seconds += ended - started
         self._known.append((len(population), ended - self.began))
         return answer
@@ -95,7 +101,7 @@ def perform(problem: Problem, task: Task, on_progress: Progress | None = None) -
         message, refused = str(error), not results
     except Exception as error:  # a method that fails must not end the others
         message = f"{type(error).__name__}: {error}"
-    seconds = time.perf_counter() - timed.began
+    seconds = timed.clock() - timed.began
     if any(result.stop_reason is StopReason.INTERRUPTED for result in results):
         raise KeyboardInterrupt
     failed = bool(message) or not results or results[-1].stop_reason is StopReason.FAILED
@@ -112,7 +118,7 @@ def _search(
     while True:
         spent = sum(result.evaluations for result in results)
         best = min((result.best_loss for result in results), default=PENALTY)
-        rest = _rest(task.budget, spent, time.perf_counter() - timed.began)
+        rest = _rest(task.budget, spent, timed.clock() - timed.began)
         if rest is None:
             return
 

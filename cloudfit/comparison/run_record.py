@@ -79,7 +79,7 @@ class RunRecord:
         message: what went wrong, else why it ended.
         starts: times that the method was started, the first included.
         evaluations: number of points evaluated.
-        seconds: duration of the run [s].
+        seconds: duration of the run [s]: of the processor where it had one thread, else by the wall.
         objective_seconds: part of it inside the objective [s]; the rest is the overhead of the method.
         best: best point in the unit cube `(parameter,)`; empty if nothing was evaluated.
         parameters: the same by name, in units.
