@@ -13,9 +13,9 @@ from cloudfit.fit_problem import FitProblem, resize_image
 from cloudfit.fit_types import Candidate, FitOptions, PhotographFit
 from cloudfit.losses import L1, LOSSES
 from cloudfit.optimisers import OPTIMISERS
-from cloudfit.optimisers.base import Budget, OptimiserResult, StopReason, pool_results
 from cloudfit.picture import CandidateRendering
 from cloudfit.scene import Scene
+from cloudfit.search import SearchOutcome, search_parameters
 from render.errors import ParameterError
 from render.scattering_stack import ScatteringStack
 
@@ -27,9 +27,6 @@ SURPRISE = 0.05
 
 RELATIVE_SURPRISE = 0.1
 """The same for losses in other units, as a share of the larger of both: what 0.05 is of the L1 losses of real photographs."""
-
-USUAL_EVALUATIONS = 1500
-"""Of one search without a budget; the progress that is shown goes by it."""
 
 DEFAULT_OPTIONS = FitOptions()
 
@@ -62,10 +59,10 @@ def fit_photograph(
         raise ParameterError(f"no optimiser is called {options.optimiser!r}; there are {', '.join(OPTIMISERS)}")
     problem = _pose(analysis, stack, options)
     started = time.perf_counter()
-    result = _search(problem, options, on_progress)
+    outcome = search_parameters(problem, options, on_progress)
+    result = outcome.final
     searched = time.perf_counter()
-    interrupted = result.stop_reason is StopReason.INTERRUPTED
-    chosen, determination = _compare_answers(problem, result, 1 if interrupted else options.candidates, options.seed)
+    chosen, determination = _compare_answers(problem, outcome, options)
     compared = time.perf_counter()
     candidates = []
     for number, index in enumerate(chosen.tolist()):
@@ -78,11 +75,11 @@ def fit_photograph(
         analysis=analysis,
         candidates=tuple(candidates),
         histogram=problem.target,
-        history=tuple(result.history.tolist()),
-        evaluations=result.evaluations,
-        iterations=result.iterations,
+        history=tuple(outcome.history.tolist()),
+        evaluations=outcome.evaluations,
+        iterations=len(outcome.history),
         stop_reason=result.stop_reason.value,
-        interrupted=interrupted,
+        interrupted=outcome.interrupted,
         seconds={
             "search": searched - started,
             "comparing answers": compared - searched,
@@ -100,42 +97,27 @@ def _pose(analysis: PhotographAnalysis, stack: ScatteringStack, options: FitOpti
     )
 
 
-def _search(problem: FitProblem, options: FitOptions, on_progress: Progress) -> OptimiserResult:
-    """Run the optimiser several times from independent seeds and pool what was evaluated."""
-    budget = Budget(
-        None if options.evaluations is None else max(1, options.evaluations // options.searches),
-        None if options.seconds is None else options.seconds / options.searches,
-        None,
-    )
-    minimiser = OPTIMISERS[options.optimiser]
-    results: list[OptimiserResult] = []
-
-    def report(iteration: int, evaluations: int, best_loss: float) -> None:
-        best = min([best_loss, *(result.best_loss for result in results)])
-        share = (len(results) + min(1.0, evaluations / (budget.evaluations or USUAL_EVALUATIONS))) / options.searches
-        on_progress(f"search: loss {best:.3f}", share)
-
-    for run in range(options.searches):
-        seed = options.seed * options.searches + run
-        results.append(minimiser.minimise(problem, problem.space.dimension, budget, seed, report))
-        if results[-1].stop_reason is StopReason.INTERRUPTED:
-            break
-    return pool_results(results)
-
-
 def _compare_answers(
-    problem: FitProblem, result: OptimiserResult, count: int, seed: int
+    problem: FitProblem, outcome: SearchOutcome, options: FitOptions
 ) -> tuple[Tensor, Determination | None]:
     """The best distinct answers among nearly equal ones, and what these have in common; nothing of that after an interruption.
 
-    Nearly equal are losses within a tenth of the best, and all below the floor, which are as good as a loss can tell.
+    Nearly equal are losses within a tenth of the best, and all below the floor, which are as good as a loss can tell. What they have in
+    common is found out on the sample that was searched, where there are more of them.
     """
-    evaluated, losses = result.evaluated, result.losses
-    below_floor = max(0.0, problem.floor - result.best_loss)
-    chosen = distinct_candidates(evaluated, losses, count, absolute_excess=below_floor, appearance=problem.appearance)
-    if result.stop_reason is StopReason.INTERRUPTED:
+    final, coarse, sampled = outcome.final, outcome.coarse, outcome.sampled
+    count = 1 if outcome.interrupted else options.candidates
+    below_floor = max(0.0, problem.floor - final.best_loss)
+    chosen = distinct_candidates(
+        final.evaluated, final.losses, count, absolute_excess=below_floor, appearance=problem.appearance
+    )
+    if outcome.interrupted:
         return chosen, None
-    return chosen, measure_determination(problem, problem.space, evaluated, losses, below_floor, seed)
+    below_floor = max(0.0, sampled.floor - coarse.best_loss)
+    determination = measure_determination(
+        sampled, sampled.space, coarse.evaluated, coarse.losses, below_floor, options.seed
+    )
+    return chosen, determination
 
 
 def _render_candidate(

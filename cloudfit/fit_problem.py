@@ -92,6 +92,7 @@ class FitProblem:
         air_refinements: of the search over the air; 0 is the paper's.
         loss: name in LOSSES.
         coarse_air: whether the search over the air begins with every third depth.
+        searched_space: the searched parameters, or None for those that suit stack and photograph.
 
     Raises:
         ParameterError: when there is no such loss.
@@ -104,6 +105,7 @@ class FitProblem:
     air_refinements: int = AIR_REFINEMENTS
     loss: str = DEFAULT_LOSS
     coarse_air: bool = False
+    searched_space: SearchSpace | None = None
 
     def __post_init__(self) -> None:
         find_loss(self.loss)
@@ -111,6 +113,8 @@ class FitProblem:
     @cached_property
     def space(self) -> SearchSpace:
         """The searched parameters; sunlight just strong enough for the photograph's brightest cloud at every asymmetry."""
+        if self.searched_space is not None:
+            return self.searched_space
         tables = self.stack.tables
         strongest = SUNLIGHT_HEADROOM * self._brightest_grey / brightest_radiance(self.stack)
         return cloud_search_space(
@@ -220,14 +224,34 @@ class FitProblem:
         Returns:
             `(population, channel x sampled pixel)`.
         """
-        cloud = self._sample.compose(self.space.to_physical(population))
+        cloud = self.sampled(SAMPLED_PIXELS).compose(self.space.to_physical(population))
         return 255.0 * display_values(cloud, self.display_curve).flatten(1)
 
+    def sampled(self, pixels: int | None) -> "FitProblem":
+        """The same problem on fewer pixels, evenly spread.
+
+        Args:
+            pixels: about how many of the counted ones, at least; None for all.
+
+        Returns:
+            The smaller problem, with the same search space, or this one if it has not twice as many.
+        """
+        stride = 1 if pixels is None else len(self.counted) // pixels
+        if stride < 2:
+            return self
+        if stride not in self._samples:
+            self._samples[stride] = self._every(stride)
+        return self._samples[stride]
+
     @cached_property
-    def _sample(self) -> "FitProblem":
-        """The same problem on at most twice `SAMPLED_PIXELS` of the counted pixels."""
+    def _samples(self) -> dict[int, "FitProblem"]:
+        """By stride."""
+        return {}
+
+    def _every(self, stride: int) -> "FitProblem":
+        """The same problem on every so many of the counted pixels."""
         tables = self.stack.tables
-        chosen = self.counted[:: max(1, len(self.counted) // SAMPLED_PIXELS)]
+        chosen = self.counted[::stride]
         fewer = replace(
             tables,
             pixel=tables.pixel[chosen],
@@ -236,7 +260,8 @@ class FitProblem:
             single=tables.single[:, chosen],
             multiple=tables.multiple[..., chosen],
         )
-        return replace(self, stack=ScatteringStack(fewer))
+        stack = ScatteringStack(fewer, self.stack.largest_image_error)
+        return replace(self, stack=stack.to(self.precision), searched_space=self.space)
 
     def __call__(self, population: Tensor) -> Tensor:
         """Objective of candidates; see `evaluate`."""

@@ -115,6 +115,7 @@ def describe_options(options: FitOptions) -> dict[str, Any]:
         "transfer": options.transfer,
         "air_refinements": options.air_refinements,
         "coarse_air": options.coarse_air,
+        "search_pixels": options.search_pixels,
         "loss": options.loss,
         "optimiser": options.optimiser,
         "optimiser_settings": repr(OPTIMISERS.get(options.optimiser)),

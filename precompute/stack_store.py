@@ -79,10 +79,15 @@ def load_or_build_stack(
 
     Returns:
         The tables, and where they came from. A stale, damaged or foreign file is replaced.
+
+    Raises:
+        StoreError: if the folder cannot be made, before anything is computed, or the file not be written.
     """
     started = time.perf_counter()
     key = stack_key(grid, camera, sun_direction, asymmetry, extinction, effort, seed)
     path = None if folder is None else folder / f"stack-{key[:16]}.safetensors"
+    if path is not None:
+        _make_folder(path.parent)
     if path is not None and path.exists():
         try:
             tables = load_stack(path, key)
@@ -92,9 +97,15 @@ def load_or_build_stack(
     tables = build_scattering_stack(grid, camera, sun_direction, asymmetry, extinction, effort, seed, on_progress)
     seconds = time.perf_counter() - started
     if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
         save_stack(path, tables, key, {"effort": effort.__dict__, "seed": seed, "seconds": seconds})
     return round_tables(tables), StackReport(seconds, False, path)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"cannot make the folder {folder} for the tables: {error.strerror or error}") from error
 
 
 def round_tables(tables: ScatteringTables) -> ScatteringTables:

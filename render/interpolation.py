@@ -107,11 +107,9 @@ def _slope_matrix(nodes: Tensor) -> Tensor:
     if count == 2:
         slopes[:, 0], slopes[:, 1] = -1.0 / (nodes[1] - nodes[0]), 1.0 / (nodes[1] - nodes[0])
         return slopes
-    for node in range(count):
-        middle = min(max(node, 1), count - 2)
-        three = nodes[middle - 1 : middle + 2]
-        for k in range(3):
-            others = [j for j in range(3) if j != k]
-            numerator = 2.0 * nodes[node] - three[others[0]] - three[others[1]]
-            slopes[node, middle - 1 + k] = numerator / ((three[k] - three[others[0]]) * (three[k] - three[others[1]]))
-    return slopes
+    middle = torch.arange(count, device=nodes.device).clamp(1, count - 2)
+    columns = middle[:, None] + torch.arange(-1, 2, device=nodes.device)
+    near = nodes[columns]
+    # For each of the three the other two, whose values the derivative of its Lagrange polynomial is made of.
+    one, other = near[:, [1, 0, 0]], near[:, [2, 2, 1]]
+    return slopes.scatter(1, columns, (2.0 * nodes[:, None] - one - other) / ((near - one) * (near - other)))

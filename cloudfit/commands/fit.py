@@ -59,7 +59,7 @@ Ambient = Annotated[
     o.AmbientName, typer.Option(help="Colour of the ambient light; free searches it.", rich_help_panel=o.SEARCH)
 ]
 Optimiser = Annotated[
-    str, typer.Option(help="Search method, such as crs2_lm+sbplx, genetic, genetic_paper.", rich_help_panel=o.SEARCH)
+    str, typer.Option(help="Search method, such as screened_evolution, crs2_lm+sbplx, genetic, genetic_paper.", rich_help_panel=o.SEARCH)
 ]
 Candidates = Annotated[int, typer.Option(min=1, help="Distinct answers to render and rank.", rich_help_panel=o.SEARCH)]
 MaxSeconds = Annotated[
@@ -103,6 +103,14 @@ CoarseAir = Annotated[
         rich_help_panel=o.SEARCH,
     ),
 ]
+SearchPixels = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        help="Pixels of the cloud that the search sees, at least; what it finds is settled on all of them. 0: it sees all.",
+        rich_help_panel=o.SEARCH,
+    ),
+]
 Resume = Annotated[
     bool,
     typer.Option(
@@ -135,6 +143,7 @@ def fit(
     air_refinements: AirRefinements = o.DEFAULT_AIR_REFINEMENTS,
     loss: Loss = o.DEFAULT_LOSS,
     coarse_air: CoarseAir = False,
+    search_pixels: SearchPixels = o.DEFAULT_SEARCH_PIXELS,
     max_seconds: MaxSeconds = None,
     max_evaluations: MaxEvaluations = None,
     seed: o.Seed = 0,
@@ -176,6 +185,7 @@ def fit(
         tolerance,
         loss,
         coarse_air,
+        search_pixels,
     )
     with reported_errors(speaker, RESUME_HINT):
         from cloudfit.batch import BatchSettings

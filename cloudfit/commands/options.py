@@ -50,7 +50,7 @@ DEFAULT_SUN_AZIMUTH, DEFAULT_SUN_ELEVATION = 220.0, 40.0
 DEFAULT_CAMERA_ELEVATION, DEFAULT_FIELD_OF_VIEW = 10.0, 40.0
 
 # As in `cloudfit.fit_types`, which is slow to import; a test compares them.
-DEFAULT_OPTIMISER, DEFAULT_AIR_REFINEMENTS, DEFAULT_LOSS = "crs2_lm+sbplx", 2, "l1"
+DEFAULT_OPTIMISER, DEFAULT_AIR_REFINEMENTS, DEFAULT_LOSS, DEFAULT_SEARCH_PIXELS = "screened_evolution", 2, "l1", 6000
 
 SCENE, CAMERA, SEARCH, RUN = "Scene", "Camera", "Search", "Run"
 
@@ -179,6 +179,7 @@ class SearchChoice:
     tolerance: float | None = None
     loss: str = DEFAULT_LOSS
     coarse_air: bool = False
+    search_pixels: int = DEFAULT_SEARCH_PIXELS
 
     def options(self) -> "FitOptions":
         """The options of a fit. Raises ParameterError for an optimiser or a loss that there is not."""
@@ -202,6 +203,7 @@ class SearchChoice:
             air_refinements=self.air_refinements,
             loss=find_loss(self.loss).name,
             coarse_air=self.coarse_air,
+            search_pixels=self.search_pixels or None,
         )
 
 

@@ -52,7 +52,7 @@ OPTIMISERS: Mapping[str, Minimiser] = MappingProxyType(
     }
 )
 
-DEFAULT_OPTIMISER = "crs2_lm+sbplx"
+DEFAULT_OPTIMISER = "screened_evolution"
 """The best trade of loss and time that was measured.
 
 Best of three searches on tables of 320 x 240 pixels, one thread, loss over floor:
