@@ -51,7 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quality", choices=QUALITIES, default="standard")
     parser.add_argument("--width", type=int, default=640, help="of the pictures; 4:3; the tables have half of it")
     parser.add_argument(
-        "--jobs", type=int, default=1, help="runs at the same time; with a thread each, seconds are those of the processor"
+        "--jobs",
+        type=int,
+        default=1,
+        help="runs at the same time; with a thread each, seconds are those of the processor",
     )
     parser.add_argument("--threads", type=int, default=available_cores(), help="of a run, where there is one job")
     add_output_argument(parser, "folder of runs, tables, photographs and page")

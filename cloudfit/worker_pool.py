@@ -1,14 +1,12 @@
 """Photographs in several processes; a process that dies takes one photograph with it, not the batch."""
 
 import multiprocessing
-import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import torch
 from numpy.typing import NDArray
 
@@ -24,6 +22,7 @@ from cloudfit.one_photograph import (
     treat_photograph,
 )
 from cloudfit.scene import Scene
+from cloudfit.worker_process import begin_worker
 from render.camera import Camera
 from render.density_grid import DensityGrid
 from render.errors import InputError
@@ -139,11 +138,9 @@ def _shut_down(pool: ProcessPoolExecutor, futures: Sequence[Future[Outcome]]) ->
 
 
 def _start(packet: _Packet) -> None:
-    """First thing in a worker; Ctrl-C reaches the whole group of processes, and the parent alone answers it."""
+    """First thing in a worker."""
     global _worker
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    torch.set_num_threads(packet.threads)
-    cv2.setNumThreads(packet.threads)
+    begin_worker(packet.threads)
     _worker = _Worker(packet.unpack(), packet.token)
 
 

@@ -59,7 +59,11 @@ Ambient = Annotated[
     o.AmbientName, typer.Option(help="Colour of the ambient light; free searches it.", rich_help_panel=o.SEARCH)
 ]
 Optimiser = Annotated[
-    str, typer.Option(help="Search method, such as screened_evolution, crs2_lm+sbplx, genetic, genetic_paper.", rich_help_panel=o.SEARCH)
+    str,
+    typer.Option(
+        help="Search method, such as screened_evolution, crs2_lm+sbplx, genetic, genetic_paper.",
+        rich_help_panel=o.SEARCH,
+    ),
 ]
 Candidates = Annotated[int, typer.Option(min=1, help="Distinct answers to render and rank.", rich_help_panel=o.SEARCH)]
 MaxSeconds = Annotated[

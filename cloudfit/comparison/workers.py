@@ -1,18 +1,17 @@
 """Runs in several processes; a method that takes its process down loses its own run alone, and the experiment goes on."""
 
 import multiprocessing
-import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
-import cv2
 import torch
 
 from cloudfit.batch import available_cores
 from cloudfit.comparison.experiment import ProblemTask, perform_and_write
 from cloudfit.comparison.run_record import Floats, RunRecord, Trace, read_run, write_run
+from cloudfit.worker_process import begin_worker
 
 DIED = "the process of the run died"
 
@@ -46,7 +45,7 @@ def perform_in_workers(tasks: Sequence[ProblemTask], workers: int) -> Iterator[t
 
 def _run_pool(tasks: Sequence[ProblemTask], workers: int, threads: int) -> Iterator[ProblemTask]:
     """Runs that ended before a process died."""
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _start, (threads,))
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), begin_worker, (threads,))
     futures: dict[Future[Path], ProblemTask] = {pool.submit(_perform, task): task for task in tasks}
     try:
         for future in as_completed(futures):
@@ -64,13 +63,6 @@ def _run_pool(tasks: Sequence[ProblemTask], workers: int, threads: int) -> Itera
                 process.terminate()
             for process in processes:
                 process.join()
-
-
-def _start(threads: int) -> None:
-    """First thing in a worker; Ctrl-C reaches the whole group of processes, and the parent alone answers it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    torch.set_num_threads(threads)
-    cv2.setNumThreads(threads)
 
 
 def _perform(task: ProblemTask) -> Path:

@@ -11,7 +11,9 @@ from cloudfit.optimisers.base import StopReason
 from cloudfit.search import APART, RESCORED, SearchOutcome, _best_apart, search_parameters
 from tests.support.small_scene import TINY, made_up_analysis, small_stack
 
-OPTIONS = FitOptions(quality=TINY, optimiser="screened_evolution", evaluations=200, searches=1, search_pixels=60, seed=2)
+OPTIONS = FitOptions(
+    quality=TINY, optimiser="screened_evolution", evaluations=200, searches=1, search_pixels=60, seed=2
+)
 
 
 def problem() -> FitProblem:
@@ -102,4 +104,7 @@ def test_points_that_are_scored_again_keep_a_distance() -> None:
     assert float(apart.min()) >= APART
     assert 20 < len(chosen) <= RESCORED
     crowded = losses.argsort()[: len(chosen)]
-    assert float(((points[crowded][:, None] - points[crowded][None]).abs().amax(2) + torch.eye(len(crowded))).min()) < APART
+    assert (
+        float(((points[crowded][:, None] - points[crowded][None]).abs().amax(2) + torch.eye(len(crowded))).min())
+        < APART
+    )
