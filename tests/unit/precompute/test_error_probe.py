@@ -54,7 +54,7 @@ class Raw:
 
 @cache
 def images(paths: int, smooth: bool) -> tuple[list[list[SmoothSource]], torch.Tensor]:
-    """Errors by seed and extinction, and composed images `(seed, extinction, albedo, asymmetry, ray)`, the last albedo one with its tail."""
+    """Errors by seed and extinction, and images `(seed, extinction, albedo, asymmetry, ray)`, the last albedo one with its tail."""
     view = view_of(GRID, CAMERA, SUN)
     lattice = lattice_over(GRID, 1.0)
     strata = stratify_rays(GRID, view.origin, view.direction, EXTINCTION, 8)

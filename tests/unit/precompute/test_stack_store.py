@@ -203,7 +203,7 @@ def test_provenance_must_be_json(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_made_is_refused_before_anything_is_computed(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     stages: list[str] = []
-    with pytest.raises(StoreError, match="cannot make the folder .*file.*tables"):
+    with pytest.raises(StoreError, match=r"cannot make the folder .*file.*tables"):
         load_or_build_stack(
             tmp_path / "file" / "tables", *Request().arguments, on_progress=lambda stage, share: stages.append(stage)
         )
