@@ -38,6 +38,9 @@ LOCAL = ("sbplx", "bobyqa", "cobyla", "nelder_mead")
 CRASH_PRONE = ("ags", "orig_direct_l")
 """Methods that run in a process of their own: AGS crashes on NaN, ORIG_DIRECT_L when its first evaluation asks it to stop."""
 
+DETERMINISTIC = ("ags", "direct", "direct_l", "orig_direct_l")
+"""Methods that use neither a start nor random numbers."""
+
 MOST_PARAMETERS: Mapping[str, int] = MappingProxyType({"ags": 10})
 """AGS follows one curve through the cube, which NLopt resolves in no more dimensions; above 5 it finds little."""
 
@@ -82,6 +85,11 @@ class NloptMinimiser:
                 "expected tolerance > 0, local_tolerance > 0, initial_step in 0..1 and largest_evaluations > 0, got "
                 f"{self.tolerance}, {self.local_tolerance}, {self.initial_step} and {self.largest_evaluations}"
             )
+
+    @property
+    def is_deterministic(self) -> bool:
+        """Whether every seed gives the same run."""
+        return self.algorithm in DETERMINISTIC
 
     def minimise(
         self,

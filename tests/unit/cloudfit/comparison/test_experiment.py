@@ -46,6 +46,20 @@ def test_every_method_runs_on_every_problem_from_every_seed(tmp_path: Path) -> N
     assert not report.failed
 
 
+def test_a_method_without_chance_runs_once_on_each_problem(tmp_path: Path) -> None:
+    runs = conduct(experiment(tmp_path, seeds=3, methods="direct crs2_lm")).runs
+    assert [(run.problem, run.seed) for run in runs if run.method == "direct"] == [("one", 0), ("two", 0)]
+    assert sum(run.method == "crs2_lm" for run in runs) == 6
+
+
+@pytest.mark.parametrize("name", ["direct", "direct_l", "orig_direct_l", "ags", "crs2_lm", "esch"])
+def test_methods_without_chance_are_those_that_no_seed_changes(name: str) -> None:
+    problem = load_problem(BowlSource("one", 0.3))
+    method = OPTIMISERS[name]
+    first, second = (method.minimise(problem.objective, problem.dimension, Budget(30), seed) for seed in (0, 7))
+    assert first.evaluated.equal(second.evaluated) == getattr(method, "is_deterministic", False)
+
+
 def test_what_is_finished_is_kept_and_only_what_is_new_is_run(tmp_path: Path) -> None:
     conduct(experiment(tmp_path))
     notes = Notes()
