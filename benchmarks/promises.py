@@ -35,11 +35,10 @@ from cloudfit.colour_histogram import colour_histogram
 from cloudfit.fit_problem import FitProblem
 from cloudfit.fit_types import FitOptions
 from cloudfit.losses import LOSSES
-from cloudfit.optimisers import OPTIMISERS
-from cloudfit.optimisers.base import Budget, OptimiserResult
 from cloudfit.photograph import read_photograph
 from cloudfit.quality import QUALITIES
 from cloudfit.scene import Scene
+from cloudfit.search import search_parameters
 from cloudfit.stack import prepare_stack
 from render.cloud_image import blend_air, compose_cloud
 from render.image_files import write_png
@@ -91,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--noise", type=float, default=0.02, help="of the reference, at which no further round is traced"
     )
-    parser.add_argument("--rounds", type=int, default=100, help="at most")
+    parser.add_argument("--rounds", type=int, default=100, help="at most; those of thin clouds are soon done")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=available_cores())
     parser.add_argument("--out", type=Path, help="folder of the stack and of the pictures")
@@ -146,7 +145,7 @@ def _photographs(arguments: argparse.Namespace, scene: Scene, out: Path) -> list
 def _compare(
     name: str, problem: FitProblem, scene: Scene, options: FitOptions, arguments: argparse.Namespace, out: Path
 ) -> PromiseRecord:
-    best = _search(problem, options, 1 if arguments.quick else options.searches)
+    best = search_parameters(problem, replace(options, searches=1 if arguments.quick else options.searches)).final
     physical = problem.space.to_physical(best.best[None]).to(torch.float32)
     parameters = problem.space.as_dict(physical[0])
     pixels = problem.stack.pixel[problem.counted]
@@ -195,14 +194,6 @@ def _trace(
         if noise <= arguments.noise or arguments.quick:
             break
     return (total / turn).float(), variance / turn**2
-
-
-def _search(problem: FitProblem, options: FitOptions, runs: int) -> OptimiserResult:
-    """The best of several searches."""
-    minimiser = OPTIMISERS[options.optimiser]
-    budget = Budget(None, None, None)
-    results = [minimiser.minimise(problem.evaluate, problem.space.dimension, budget, seed) for seed in range(runs)]
-    return min(results, key=lambda result: result.best_loss)
 
 
 @torch.no_grad()
