@@ -1,5 +1,4 @@
-"""Sunlight that fog scatters once into a view ray, without phase function and albedo: 1 where all of the light is
-scattered into view.
+"""Sunlight that fog scatters once into a view ray, without phase function and albedo.
 
 With the view's optical depth tau(t), the extinction sigma(t) and the optical depth A(t) from there to the sun, the
 in-scattering is
@@ -12,9 +11,9 @@ spared v / l dtau. The exponent E = tau + A is thus linear in tau, whatever the 
 
     A = A_0 - tau v / l,   S = tau (exp(-E_0) - exp(-E_1)) / (E_1 - E_0)
 
-with E at the two ends of the ray. Integrated over the distance instead, a linear profile asks for error functions and
-an exponential one for exponential integrals, which cancel in the end. Written as tau times the mean of exp(-E), S has
-no singular direction: not v = 0, nor l = 0, nor v = l.
+with E at the two ends of the ray. Taken term by term over the distance, a linear profile asks for error functions and
+an exponential one for exponential integrals; all of them cancel. Written as tau times the mean of exp(-E), S has no
+singular direction: not v = 0, nor l = 0, nor v = l.
 """
 
 import math
