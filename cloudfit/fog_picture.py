@@ -24,7 +24,7 @@ FARTHEST_SHARE = 0.1
 
 
 LOW_SUN = math.sin(math.radians(20.0))
-"""Slope of the sun below which the ground counts as round; above it that changes less than 1e-4 of the light."""
+"""Slope of the sun below which the ground counts as round; above it that changes less than 1e-3 of the light."""
 
 CHUNK = 1 << 14
 """Rays composed at once: their numbers stay in the cache."""
