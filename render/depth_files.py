@@ -11,7 +11,7 @@ from torch import Tensor
 
 from render.errors import PhotographError
 
-DEPTH_CHANNELS = ("Z", "depth.Z", "depth.Y", "depth.V", "Depth.Z", "V", "Y", "R")
+DEPTH_CHANNELS = ("Z", "depth.Z", "depth.Y", "depth.V", "distance.Y", "V", "Y", "R")
 """Channels of an EXR file that may hold the depth, the likeliest first; layers of a render end in these names too."""
 
 
@@ -52,6 +52,10 @@ def _read_exr(path: Path) -> np.ndarray:
     for wanted in DEPTH_CHANNELS:
         for name, pixels in channels.items():
             if name == wanted or name.endswith(f".{wanted}"):
+                if wanted == "R" and not np.array_equal(pixels, channels.get("G", pixels)):
+                    raise PhotographError(
+                        f"{path}: expected a depth, got a coloured picture; save the depth as channel Z"
+                    )
                 return pixels
     raise PhotographError(
         f"{path}: expected a depth channel such as Z, depth.Z, V, Y or R, got {', '.join(sorted(channels))}"

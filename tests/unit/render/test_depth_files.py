@@ -28,7 +28,7 @@ def test_a_depth_channel_is_found_by_any_of_its_names(tmp_path: Path, name: str)
 def test_the_likeliest_channel_wins_and_our_own_files_are_read(tmp_path: Path) -> None:
     path = write_channels(tmp_path / "both.exr", {"R": DEPTH + 1.0, "Z": DEPTH})
     assert torch.equal(read_depth(path), torch.from_numpy(DEPTH))
-    write_exr(tmp_path / "own.exr", {"distance": torch.from_numpy(DEPTH)})
+    write_exr(tmp_path / "own.exr", {"a_layer": torch.ones(2, 3), "distance": torch.from_numpy(DEPTH)})
     assert torch.equal(read_depth(tmp_path / "own.exr"), torch.from_numpy(DEPTH))
 
 
@@ -49,6 +49,7 @@ def test_what_is_no_depth_map_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "torn.npy").write_bytes(b"\x93NUMPY")
     (tmp_path / "empty.npy").write_bytes(b"")
     write_channels(tmp_path / "other.exr", {"Q": DEPTH})
+    write_channels(tmp_path / "colour.exr", {"R": DEPTH, "G": DEPTH + 1.0, "B": DEPTH})
     for name, words in (
         ("nan.npy", "above 0 m"),
         ("zero.npy", "above 0 m"),
@@ -58,6 +59,7 @@ def test_what_is_no_depth_map_is_refused_by_name(tmp_path: Path) -> None:
         ("torn.npy", "truncated"),
         ("empty.npy", "truncated"),
         ("other.exr", "got Q"),
+        ("colour.exr", "coloured picture"),
         ("gone.exr", "no such file"),
         ("depth.png", "ends in .exr or .npy"),
     ):

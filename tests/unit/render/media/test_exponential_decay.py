@@ -4,7 +4,7 @@ import pytest
 import torch
 from scipy import integrate
 
-from render.media import ExponentialDecay, compute_optical_depth
+from render.media import ExponentialDecay, compute_optical_depth, find_distance
 from render.media.sphere import EARTH_RADIUS
 
 
@@ -57,3 +57,14 @@ def test_the_path_to_the_sun_has_gradients_overhead_and_at_the_horizon() -> None
         step = 1e-5 if slope < 0.9 else 1e-10
         ends = [medium.curved_depth(numbers(0.0), numbers(slope + d), EARTH_RADIUS).item() for d in (-step, step)]
         assert gradient.item() == pytest.approx((ends[1] - ends[0]) / (2.0 * step), rel=1e-3 if slope < 0.9 else 2e-2)
+
+
+@pytest.mark.parametrize("slope", [-0.4, 0.3])
+def test_the_sign_of_the_inverse_is_not_the_printed_one(slope: float) -> None:
+    """-(H / v) log(1 - y), y = tau v / (sigma H); with the printed sign the distance has another depth."""
+    medium, height, depth = ExponentialDecay(0.02, 50.0), numbers(60.0), 0.3
+    y = depth * slope / (medium.extinction_at(height).item() * 50.0)
+    right, printed = -50.0 / slope * math.log1p(-y), 50.0 / slope * math.log1p(y)
+    assert find_distance(medium, height, slope, depth).item() == pytest.approx(right)
+    assert compute_optical_depth(medium, height, slope, right).item() == pytest.approx(depth, rel=1e-12)
+    assert compute_optical_depth(medium, height, slope, abs(printed)).item() != pytest.approx(depth, rel=1e-2)
