@@ -9,6 +9,7 @@ from types import MappingProxyType
 from benchmarks import (
     accuracy,
     evaluation,
+    fog,
     masks,
     optimisers,
     paper_experiment,
@@ -37,6 +38,7 @@ BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType(
             photographs,
             optimisers,
             paper_experiment,
+            fog,
         )
     }
 )

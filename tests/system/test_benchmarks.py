@@ -58,6 +58,19 @@ def test_the_cost_of_a_stack_stands_beside_its_error(tmp_path: Path, capsys: pyt
     assert measures["refined_iteration_ms"]["median"] > measures["iteration_ms"]["median"] > 0.0
 
 
+def test_fog_is_timed_and_judged_beside_the_march(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result, out = run_quick("fog", tmp_path, capsys, "--threads", "1")
+    for medium in ("uniform", "linear", "exponential"):
+        row = result["media"][medium]
+        assert row["closed_form_error_float64"]["largest"] < 1e-9
+        assert row["closed_form_error"]["percentile"] < 1e-5
+        errors = [row["march_errors"][steps]["percentile"] for steps in ("4", "16", "64")]
+        assert errors[0] > errors[1] > errors[2] > 1e-4
+        assert 0.0 < row["round_ground_difference"]["median"] < 1e-2
+        assert row["nanoseconds_per_ray"]["closed form"]["count"] == 2
+    assert "not reached" in out
+
+
 def test_evaluations_are_timed_beside_a_scalar_loop_in_the_same_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
