@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from render.atmosphere.rays import Rays
+from render.atmosphere.air_ray import AirRay
 from render.atmosphere.shells import Shells, piece_columns, shell_columns, shell_crossings
 
 
@@ -55,7 +55,7 @@ class Weights:
 
 
 def fly(
-    shells: Shells, rays: Rays, forced: Tensor, hero: Tensor, weights: Weights, uniform: Tensor
+    shells: Shells, rays: AirRay, forced: Tensor, hero: Tensor, weights: Weights, uniform: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Weights]:
     """One flight of each path.
 
@@ -71,8 +71,8 @@ def fly(
         Distance flown `(lane,)` [m]; whether the flight ended on the ground `(lane,)`; whether it ended at all, which it does not
         where there is nothing to collide with `(lane,)`; and the weights.
     """
-    at = shell_crossings(shells, rays.radius, rays.cosine, rays.end(shells.atmosphere))
-    depth = shell_columns(shells, rays.radius, rays.cosine, at) @ shells.extinction
+    at = shell_crossings(shells, rays.radius, rays.cos_view, rays.length(shells.atmosphere))
+    depth = shell_columns(shells, rays.radius, rays.cos_view, at) @ shells.extinction
     depth = torch.cat([torch.zeros_like(depth[:, :1]), depth.cumsum(1)], dim=1)
     total = depth[:, -1]
     lane = torch.arange(len(hero))
@@ -93,7 +93,7 @@ def fly(
     crossed = inside[lane, hero]
     share = (sought - of_hero[lane, piece]) / torch.where(crossed > 0.0, crossed, 1.0)
     distance = first + share * length
-    column = piece_columns(shells, rays.radius, rays.cosine, first, distance)
+    column = piece_columns(shells, rays.radius, rays.cos_view, first, distance)
     transmittance = torch.exp(-(depth[lane, piece] + column @ shells.extinction))
     assumed = torch.exp(-(depth[lane, piece] + share[:, None] * inside)) * inside / length[:, None]
     density = torch.where(reach > 0.0, assumed / torch.where(reach > 0.0, reach, 1.0), 0.0)

@@ -7,8 +7,8 @@ rule and its two halves agree: the edge of the planet's shadow, which may lie an
 import torch
 from torch import Tensor
 
-from render.atmosphere.ray_geometry import sine_from_cosine, sun_cosine_along_ray
-from render.atmosphere.rays import Rays
+from render.atmosphere.air_ray import AirRay
+from render.atmosphere.rays import chosen_rays
 from render.atmosphere.shells import (
     Shells,
     compute_columns,
@@ -31,7 +31,7 @@ PIECES_AT_ONCE = 512
 """Bounds the memory."""
 
 
-def compute_single_scattering(shells: Shells, rays: Rays, tolerance: float = 1e-6) -> tuple[Tensor, Tensor]:
+def compute_single_scattering(shells: Shells, rays: AirRay, tolerance: float = 1e-6) -> tuple[Tensor, Tensor]:
     """Light scattered once on its way to the origins of rays, without the phase functions.
 
         E beta integral of density(t) T(origin, t) T(t, sun) dt
@@ -40,7 +40,7 @@ def compute_single_scattering(shells: Shells, rays: Rays, tolerance: float = 1e-
 
     Args:
         shells: the air.
-        rays: to follow to the end of the air.
+        rays: `(ray,)`, float64, to follow to the end of the air.
         tolerance: largest difference of a piece and its halves, relative to the whole integral.
 
     Returns:
@@ -52,11 +52,11 @@ def compute_single_scattering(shells: Shells, rays: Rays, tolerance: float = 1e-
     if not tolerance > 0.0:
         raise ParameterError(f"an integral converges to a positive tolerance, not {tolerance}")
     planet = shells.atmosphere
-    at = shell_crossings(shells, rays.radius, rays.cosine, rays.end(planet))
+    at = shell_crossings(shells, rays.radius, rays.cos_view, rays.length(planet))
     ray, piece = torch.nonzero(at[:, 1:] > at[:, :-1], as_tuple=True)
     first, last = at[ray, piece], at[ray, piece + 1]
     value = _integrate(shells, rays, ray, first, last)
-    coarse = torch.zeros(len(rays), *value.shape[1:], dtype=torch.float64).index_add_(0, ray, value)
+    coarse = torch.zeros(len(rays.radius), *value.shape[1:], dtype=torch.float64).index_add_(0, ray, value)
     total = torch.zeros_like(coarse)
     for _ in range(MOST_HALVINGS):
         middle = 0.5 * (first + last)
@@ -74,7 +74,7 @@ def compute_single_scattering(shells: Shells, rays: Rays, tolerance: float = 1e-
     return light[:, 0], light[:, 1]
 
 
-def compute_single_radiance(shells: Shells, rays: Rays, tolerance: float = 1e-6) -> Tensor:
+def compute_single_radiance(shells: Shells, rays: AirRay, tolerance: float = 1e-6) -> Tensor:
     """Radiance scattered once, with the phase functions `(ray, wavelength)` [W/m^2/sr/nm]; arguments as above."""
     molecules, aerosols = compute_single_scattering(shells, rays, tolerance)
     g = shells.atmosphere.mie_asymmetry
@@ -82,27 +82,26 @@ def compute_single_radiance(shells: Shells, rays: Rays, tolerance: float = 1e-6)
     return rayleigh * molecules + evaluate_cornette_shanks(rays.cos_view_sun, g)[:, None] * aerosols
 
 
-def _integrate(shells: Shells, rays: Rays, ray: Tensor, first: Tensor, last: Tensor) -> Tensor:
+def _integrate(shells: Shells, rays: AirRay, ray: Tensor, first: Tensor, last: Tensor) -> Tensor:
     """Integrals over pieces `(piece, 2, wavelength)` [m], some at a time."""
     wavelengths = shells.extinction.shape[-1]
     found = torch.empty(len(ray), 2, wavelengths, dtype=torch.float64)
     for start in range(0, len(ray), PIECES_AT_ONCE):
         some = slice(start, start + PIECES_AT_ONCE)
-        found[some] = _integrate_chunk(shells, rays[ray[some]], first[some], last[some])
+        found[some] = _integrate_chunk(shells, chosen_rays(rays, ray[some]), first[some], last[some])
     return found
 
 
-def _integrate_chunk(shells: Shells, rays: Rays, first: Tensor, last: Tensor) -> Tensor:
+def _integrate_chunk(shells: Shells, rays: AirRay, first: Tensor, last: Tensor) -> Tensor:
     node, weight = gauss_legendre(RULE_NODES)
     planet = shells.atmosphere
     length = last - first
     t = first[:, None] + length[:, None] * node
-    r, mu = rays.radius[:, None], rays.cosine[:, None]
-    there = torch.hypot(r * mu + t, r * sine_from_cosine(mu)).clamp(planet.bottom_radius, planet.top_radius)
-    sun = sun_cosine_along_ray(r, rays.cos_sun_zenith[:, None], rays.cos_view_sun[:, None], t, there)
-    light = torch.exp(-compute_columns(shells, r, mu, t) @ shells.extinction)
-    light = light * compute_exact_sun_transmittance(shells, there, sun)
-    density = species_densities(planet, there - planet.bottom_radius)[..., :2] * (
+    here = rays.unsqueeze()
+    there = here.at(planet, t)
+    light = torch.exp(-compute_columns(shells, here.radius, here.cos_view, t) @ shells.extinction)
+    light = light * compute_exact_sun_transmittance(shells, there.radius, there.cos_sun)
+    density = species_densities(planet, there.radius - planet.bottom_radius)[..., :2] * (
         weight[:, None] * length[:, None, None]
     )
     return torch.einsum("pns,pnw->psw", density, light)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from render.atmosphere.air_ray import AirRay
 from render.atmosphere.earth import earth
 from render.atmosphere.parameters import AtmosphereParameters, uniform_profile
-from render.atmosphere.rays import Rays
 from tests.support.shared_data import shared_file
 
 
@@ -17,16 +17,16 @@ def golden(name: str) -> dict[str, np.ndarray]:
         return dict(file)
 
 
-def golden_rays(rows: dict[str, np.ndarray], chosen: np.ndarray | slice = slice(None)) -> Rays:
+def golden_rays(rows: dict[str, np.ndarray], chosen: np.ndarray | slice = slice(None)) -> AirRay:
     """The rays of rows of `sky_radiance`."""
     names = ("r_m", "mu", "mu_s", "nu", "intersects_ground")
-    return Rays(*(torch.from_numpy(np.ascontiguousarray(rows[name][chosen])) for name in names))
+    return AirRay(*(torch.from_numpy(np.ascontiguousarray(rows[name][chosen])) for name in names))
 
 
-def one_ray(radius: float, cosine: float, cos_sun_zenith: float, cos_view_sun: float, ground: bool = False) -> Rays:
+def one_ray(radius: float, cosine: float, cos_sun_zenith: float, cos_view_sun: float, ground: bool = False) -> AirRay:
     """A single ray."""
     numbers = (torch.tensor([value], dtype=torch.float64) for value in (radius, cosine, cos_sun_zenith, cos_view_sun))
-    return Rays(*numbers, torch.tensor([ground]))
+    return AirRay(*numbers, torch.tensor([ground]))
 
 
 def uniform_air(

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from render.atmosphere.air_ray import AirRay
 from render.atmosphere.earth import earth
 from render.atmosphere.free_flight import Weights, fly
 from render.atmosphere.parameters import AtmosphereParameters
-from render.atmosphere.rays import Rays
+from render.atmosphere.rays import chosen_rays
 from render.atmosphere.shells import compute_columns, compute_exact_transmittance, cut_into_shells
 from tests.support.planets import one_ray, uniform_air
 from tests.support.statistics import histogram_p_value, passes_z_test
@@ -15,10 +16,10 @@ from tests.support.statistics import histogram_p_value, passes_z_test
 COUNT = 4000
 
 
-def flights(planet: AtmosphereParameters, ray: Rays, forced: bool, hero: int = 0) -> tuple:
+def flights(planet: AtmosphereParameters, ray: AirRay, forced: bool, hero: int = 0) -> tuple:
     generator = torch.Generator().manual_seed(7)
     uniform = torch.rand(COUNT, generator=generator, dtype=torch.float64)
-    rays = ray[torch.zeros(COUNT, dtype=torch.long)]
+    rays = chosen_rays(ray, torch.zeros(COUNT, dtype=torch.long))
     weights = Weights.ones(COUNT, len(planet.wavelengths))
     heroes = torch.full((COUNT,), hero)
     return fly(cut_into_shells(planet), rays, torch.full((COUNT,), forced), heroes, weights, uniform)
@@ -44,13 +45,13 @@ def test_weights_give_the_scattered_share_of_every_wavelength(forced: bool) -> N
     ray = one_ray(planet.bottom_radius + 9000.0, -0.3, 0.5, 0.0, ground=True)
     for hero in range(3):
         distance, on_ground, _, weights = flights(planet, ray, forced, hero)
-        there = torch.hypot(ray.radius * ray.cosine + distance, ray.radius * (1.0 - ray.cosine**2).sqrt())
+        there = torch.hypot(ray.radius * ray.cos_view + distance, ray.radius * (1.0 - ray.cos_view**2).sqrt())
         step = torch.tensor([1.0], dtype=torch.float64)
         extinction = compute_columns(shells, there, torch.ones_like(there), step) @ shells.extinction
         # With one hero alone the density of its own choice stands in the denominator.
         value = torch.where(on_ground[:, None], 0.0, extinction * weights.contribution / weights.density[:, hero, None])
-        end = ray.end(planet)
-        opacity = 1.0 - compute_exact_transmittance(shells, ray.radius, ray.cosine, end)[0]
+        end = ray.length(planet)
+        opacity = 1.0 - compute_exact_transmittance(shells, ray.radius, ray.cos_view, end)[0]
         for factor, right in ((1.0, True), (1.3, False)):
             error = value.mean(0) - factor * opacity
             assert passes_z_test(error, value.var(0) / COUNT) is right

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from render.atmosphere.earth import earth
-from render.atmosphere.rays import Rays, rays_from_vectors
+from render.atmosphere.rays import chosen_rays, rays_from_vectors
 from render.errors import ParameterError
 from tests.support.planets import one_ray
 
@@ -17,10 +17,10 @@ def test_cosines_are_those_of_the_vectors() -> None:
     down = torch.tensor([[0.0, -1.0, 0.0]], dtype=torch.float64)
     for direction, cosine, ground in ((down, -1.0, True), (-down, 1.0, False)):
         rays = rays_from_vectors(planet, position, direction, SUN)
-        assert float(rays.cosine) == cosine
+        assert float(rays.cos_view) == cosine
         assert bool(rays.intersects_ground) is ground
-        assert float(rays.cos_view_sun) == float(rays.cos_sun_zenith) == 0.0
-        assert float(rays.end(planet)) == pytest.approx(1000.0 if ground else 59_000.0)
+        assert float(rays.cos_view_sun) == float(rays.cos_sun) == 0.0
+        assert float(rays.length(planet)) == pytest.approx(1000.0 if ground else 59_000.0)
 
 
 def test_a_position_outside_the_air_is_refused() -> None:
@@ -32,10 +32,7 @@ def test_a_position_outside_the_air_is_refused() -> None:
     assert float(rays_from_vectors(planet, top, SUN[None], SUN).radius) == planet.top_radius
 
 
-def test_rays_of_unequal_shapes_or_low_precision_are_refused() -> None:
-    ray = one_ray(6.36e6, 0.5, 0.5, 0.5)
-    with pytest.raises(ParameterError, match="one shape"):
-        Rays(ray.radius, ray.cosine, ray.cosine, torch.cat([ray.cosine, ray.cosine]), ray.intersects_ground)
-    with pytest.raises(ParameterError, match="float64"):
-        Rays(*(value.float() for value in (ray.radius, ray.cosine, ray.cosine, ray.cosine)), ray.intersects_ground)
-    assert len(ray[torch.tensor([0, 0])]) == 2
+def test_some_rays_are_chosen_by_number_or_mask() -> None:
+    ray = one_ray(6.36e6, 0.5, 0.4, 0.3)
+    assert chosen_rays(ray, torch.tensor([0, 0])).cos_sun.tolist() == [0.4, 0.4]
+    assert chosen_rays(ray, torch.tensor([False])).radius.shape == (0,)

@@ -64,7 +64,7 @@ def test_more_nodes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "PIECE_NODES", 12)
     torch.testing.assert_close(compute_columns(shells, *rays), columns, rtol=3e-8, atol=1e-3)
     monkeypatch.setattr(module, "PIECE_NODES", 1)
-    assert float((compute_columns(shells, *rays) / columns - 1.0).abs().max()) > 1e-3
+    assert float((compute_columns(shells, *rays) - columns).abs().max()) > 100.0
 
 
 def test_crossings_lie_on_the_spheres_in_order() -> None:
