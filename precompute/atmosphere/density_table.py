@@ -12,7 +12,6 @@ enters once for each height of the sun and not for each direction. The result is
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -33,29 +32,12 @@ DIRECTIONS_AT_ONCE = 1 << 17
 """Pairs of a node and an azimuth that are worked on together: a megabyte, which stays in the cache."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Kinks:
-    """Functions of x that are linear between integers, as the coefficients of 1, x and max(x, k), k = 1, 2, ...
-
-    Args:
-        coefficients: `(2 + k, sun, wavelength)`.
-    """
-
-    coefficients: Tensor
-
-    @staticmethod
-    def through(values: Tensor) -> "_Kinks":
-        """Functions with values `(node, sun, wavelength)` at x = 0, 1, 2, ..."""
-        slopes = values.diff(dim=0)
-        bends = slopes.diff(dim=0)
-        place = torch.arange(1, len(values) - 1, dtype=values.dtype)[:, None, None]
-        constant = values[0] - (bends * place).sum(0)
-        return _Kinks(torch.cat([constant[None], slopes[:1], bends]))
-
-    def terms(self, x: Tensor) -> Iterator[tuple[Tensor, Tensor | None]]:
-        """Coefficients `(sun, wavelength)` with the function each belongs to, of the shape of x; None for 1."""
-        for number, coefficient in enumerate(self.coefficients):
-            yield coefficient, (None if number == 0 else x if number == 1 else x.clamp(min=number - 1.0))
+def _coefficients(values: Tensor) -> Tensor:
+    """Coefficients of 1, x and max(x, k), k = 1, 2, ..., of functions with values `(node, ...)` at x = 0, 1, 2, ..., same shape."""
+    slopes = values.diff(dim=0)
+    bends = slopes.diff(dim=0)
+    place = torch.arange(1, len(values) - 1, dtype=values.dtype).reshape(-1, *(1,) * (values.dim() - 1))
+    return torch.cat([values[:1] - (bends * place).sum(0), slopes[:1], bends])
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +47,9 @@ class _Ring:
     Args:
         cosine, sine: of the angle to the zenith.
         weight: solid angle per azimuth [rad].
-        tables: each table of the order before, along the ring.
-        ground: light from the ground as a function of y = `ground_offset` + `ground_slope` x; None where no ground is seen.
+        tables: of the order before, as coefficients of functions of x `(term, table, sun, wavelength)`.
+        ground: light from the ground, as coefficients of functions of y = `ground_offset` + `ground_slope` x
+            `(term, 1, sun, wavelength)`; None where no ground is seen.
         ground_offset: `(sun,)`.
         ground_slope: how many nodes of the irradiance the ring spans per node in nu.
     """
@@ -74,8 +57,8 @@ class _Ring:
     cosine: float
     sine: float
     weight: float
-    tables: tuple[_Kinks, ...]
-    ground: _Kinks | None
+    tables: Tensor
+    ground: Tensor | None
     ground_offset: Tensor
     ground_slope: float
 
@@ -145,10 +128,9 @@ def _incident_ring(
     views, view_suns = before.tables[0].shape[1:3]
     ring = AirRay(rays.radius, cosine, cosine, cosine, ray_intersects_ground(atmosphere, rays.radius, cosine))
     left, right = nearest_nodes(view_index(atmosphere, views, ring), views)
-    tables = tuple(
-        _Kinks.through(torch.lerp(table[radius_node, left], table[radius_node, left + 1], right.to(table.dtype)))
-        for table in before.tables
-    )
+    above = right.to(before.tables[0].dtype)
+    rows = [torch.lerp(table[radius_node, left], table[radius_node, left + 1], above) for table in before.tables]
+    tables = _coefficients(torch.stack(rows, 1))
     ground, offset, slope = None, rays.cos_sun, 0.0
     if bool(ring.intersects_ground):
         reflection = GroundReflection.seen(atmosphere, transmittance, rays.radius, cosine)
@@ -158,7 +140,7 @@ def _incident_ring(
 
 def _ground_ring(
     reflection: GroundReflection, irradiance: Tensor, cos_sun: Tensor, cosine: Tensor, view_suns: int
-) -> tuple[_Kinks, Tensor, float]:
+) -> tuple[Tensor, Tensor, float]:
     """Light from the ground along a ring as a function of y, and what makes y of the place on the axis of nu.
 
     The cosine between sun and zenith on the ground is linear in nu; y is its place on the axis of the irradiance, counted from the
@@ -178,7 +160,7 @@ def _ground_ring(
     nodes = int((reach[1] - lowest).max().floor()) + 2
     index = (lowest.to(torch.int64) + torch.arange(nodes)[:, None]).clamp(max=count - 1)
     values = irradiance[0, index] * reflection.factor
-    return _Kinks.through(values), start - lowest, slope
+    return _coefficients(values[:, None]), start - lowest, slope
 
 
 def _scatter_rings(
@@ -186,50 +168,51 @@ def _scatter_rings(
 ) -> Tensor:
     """Incident light times both phase functions, over all directions `(view, view_sun, sun, 2, wavelength)`."""
     dtype, view_suns = before.tables[0].dtype, before.tables[0].shape[2]
-    azimuth, share = rule.azimuth_nodes()
-    sun_x, sun_y = sun_direction(rays)
-    half = 0.5 * (view_suns - 1)
-    # Place on the axis of nu: half (1 + cos(theta) mu_s) + sin(theta) across.
-    across = half * (sun_x[..., None] * torch.cos(azimuth) + sun_y[..., None] * torch.sin(azimuth))
-    across = across.to(dtype).flatten(1, 2)
-    suns = rays.cos_sun.shape[-1]
-    sine = sine_from_cosine(rays.cos_view).reshape(-1, 1)
+    azimuth, share = (value[:, None] for value in rule.azimuth_nodes())
+    half, suns = 0.5 * (view_suns - 1), rays.cos_sun.shape[-1]
+    # Place on the axis of nu: half (1 + cos(theta) mu_s) + sin(theta) across. Azimuth before node, the order in which sums are fast.
+    sun_x, sun_y = (value.flatten(1).unsqueeze(1) for value in sun_direction(rays))
+    across = (half * (sun_x * torch.cos(azimuth) + sun_y * torch.sin(azimuth))).to(dtype)
+    view, sine = rays.cos_view, sine_from_cosine(rays.cos_view)
     total = torch.zeros((), dtype=dtype)
     for ring in rings:
-        turned = sine * ring.sine * torch.cos(azimuth) + rays.cos_view.reshape(-1, 1) * ring.cosine
+        turned = sine * ring.sine * torch.cos(azimuth) + view * ring.cosine
         phases = [evaluate_rayleigh_phase(turned), evaluate_cornette_shanks(turned, atmosphere.mie_asymmetry)]
-        weights = (torch.stack(phases, -1) * (ring.weight * share)[:, None]).to(dtype)
+        weights = (torch.cat(phases, -1) * (ring.weight * share)).to(dtype).transpose(1, 2).contiguous()
         offset = (half * (1.0 + ring.cosine * rays.cos_sun)).to(dtype).repeat(view_suns)
-        x = torch.add(offset[:, None], across, alpha=ring.sine)
-        for kinks, factor in zip(ring.tables, before.phase_factors(x / half - 1.0), strict=True):
-            total = total + _sum_azimuths(kinks.terms(x), factor, weights, suns)
+        x = torch.add(offset, across, alpha=ring.sine)
+        total = total + _sum_azimuths(x, ring.tables, before.phase_factors(x / half - 1.0), weights)
         if ring.ground is not None:
-            y = torch.add(ring.ground_offset.to(dtype).repeat(view_suns)[:, None], x, alpha=ring.ground_slope)
-            total = total + _sum_azimuths(ring.ground.terms(y), None, weights, suns)
-    return total
+            y = torch.add(ring.ground_offset.to(dtype).repeat(view_suns), x, alpha=ring.ground_slope)
+            total = total + _sum_azimuths(y, ring.ground, (None,), weights)
+    return (
+        total.unflatten(1, (len(view), 2, view_suns))
+        .permute(1, 3, 0, 2, 4)
+        .reshape(-1, view_suns, suns, 2, total.shape[-1])
+    )
 
 
-def _sum_azimuths(
-    terms: Iterator[tuple[Tensor, Tensor | None]], factor: Tensor | None, weights: Tensor, suns: int
-) -> Tensor:
-    """Sum over azimuths of a function of the direction, given by its terms, times both phase functions.
+def _sum_azimuths(x: Tensor, coefficients: Tensor, factors: tuple[Tensor | None, ...], weights: Tensor) -> Tensor:
+    """Sum over azimuths of functions of the direction, given by their coefficients, times both phase functions.
 
     Args:
-        terms: coefficients `(sun, wavelength)` and functions `(view, node, azimuth)`, None for 1; a node is a pair of view_sun and sun.
-        factor: `(view, node, azimuth)` that the whole is multiplied by, or None.
-        weights: phase functions times the weights of the directions `(view, azimuth, 2)`.
-        suns: heights of the sun.
+        x: place of each direction `(view, azimuth, node)`; a node is a pair of view_sun and sun.
+        coefficients: `(term, table, sun, wavelength)`.
+        factors: what each table is multiplied by `(view, azimuth, node)`, None for nothing.
+        weights: phase functions times the weights of the directions `(view, 2, azimuth)`.
 
     Returns:
-        `(view, view_sun, sun, 2, wavelength)`.
+        `(sun, (view, 2, view_sun), wavelength)`.
     """
-    total = torch.zeros((), dtype=weights.dtype)
-    for coefficient, function in terms:
-        if function is None and factor is None:
-            summed = weights.sum(1)[:, None, None]
-        else:
-            product = factor if function is None else function if factor is None else function * factor
-            assert product is not None
-            summed = torch.bmm(product, weights).reshape(len(weights), -1, suns, 2)
-        total = total + summed[..., None] * coefficient[:, None]
-    return total
+    suns = coefficients.shape[2]
+    terms, product = [], torch.empty_like(x)
+    for number in range(len(coefficients)):
+        function = x if number < 2 else x.clamp(min=number - 1.0)
+        for factor in factors:
+            if number == 0:
+                chosen = torch.ones_like(x) if factor is None else factor
+            else:
+                chosen = function if factor is None else torch.mul(function, factor, out=product)
+            terms.append(torch.bmm(weights, chosen))
+    sums = torch.stack(terms).reshape(len(terms), -1, suns).permute(2, 1, 0)
+    return torch.bmm(sums, coefficients.flatten(0, 1).transpose(0, 1))

@@ -5,9 +5,11 @@ the cosine mu_s between sun and zenith, and the cosine nu between ray and sun. A
 
     r_d^2 = r^2 + 2 r mu d + d^2,     mu_d = (r mu + d) / r_d,     mu_s_d = (r mu_s + d nu) / r_d
 
-Differences of radii are written as products, r^2 - R^2 = (r - R)(r + R), and of the two roots of a quadratic the one that would
-cancel is taken from the product of both: the plain forms lose half of their digits near the boundaries. Use float64. A ray that grazes the
-ground is known to 0.1 m of its length even so, because a last bit of mu is worth that much; in float32 it would be 3 km.
+Everything here is float64. Of the two roots of a quadratic the one that would cancel is taken from the product of both. Where squares of
+radii are subtracted, r^2 - R^2 is good to 0.01 m^2, because a last bit of r is worth as much: on the ground, where the difference is zero,
+its root is good to 0.1 m, and so is the length of a ray that grazes the ground. These two differences stand as in Bruneton's
+reference: a product of sum and difference would be no better in float64, and its other last bits would show in the seventh digit
+when tables are compared. In float32 the same roots would be wrong by 2 km.
 
 Four guards keep rounding from leaving a domain: `clamp_cosine`, `clamp_radius`, `clamp_distance` and `safe_sqrt`. All arguments of a
 function broadcast against each other.
@@ -55,7 +57,7 @@ def horizon_distance(atmosphere: AtmosphereParameters, radius: Tensor) -> Tensor
     Returns:
         Distance `(...)` [m], zero on the ground.
     """
-    return safe_sqrt((radius - atmosphere.bottom_radius) * (radius + atmosphere.bottom_radius))
+    return safe_sqrt(radius * radius - atmosphere.bottom_radius**2)
 
 
 def horizon_cosine(atmosphere: AtmosphereParameters, radius: Tensor) -> Tensor:
@@ -72,11 +74,7 @@ def horizon_cosine(atmosphere: AtmosphereParameters, radius: Tensor) -> Tensor:
 
 
 def _half_chord_squared(boundary: float, radius: Tensor, cosine: Tensor) -> Tensor:
-    """r^2 (mu^2 - 1) + b^2: squared half length of the line's chord of the sphere of radius b; negative where it misses.
-
-    Written as Bruneton's reference has it. At the horizon it is nothing but rounding, of which the root, 0.1 m, shows in the
-    seventh digit of the light there: another form is as good, but its tables could not be compared as sharply.
-    """
+    """r^2 (mu^2 - 1) + b^2: squared half length of the line's chord of the sphere of radius b; negative where it misses."""
     return radius * radius * (cosine * cosine - 1.0) + boundary * boundary
 
 

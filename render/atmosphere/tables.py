@@ -52,6 +52,10 @@ class TableSizes:
         return self.radii, self.views, self.view_suns, self.suns
 
 
+DEFAULT_SIZES = TableSizes()
+"""Bruneton's: 25 MB a table of scattered light for three wavelengths in float64."""
+
+
 @dataclass(frozen=True, eq=False)
 class AtmosphereTables:
     """All that the look-ups of an atmosphere need.
