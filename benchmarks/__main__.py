@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 from benchmarks import (
     accuracy,
+    atmosphere,
     evaluation,
     masks,
     optimisers,
@@ -37,6 +38,7 @@ BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType(
             photographs,
             optimisers,
             paper_experiment,
+            atmosphere,
         )
     }
 )

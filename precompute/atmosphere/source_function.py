@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from precompute.in_threads import map_in_threads
 from render.atmosphere.accurate_sky import integrate_single_scattering
 from render.atmosphere.air_ray import AirRay
 from render.atmosphere.ray_geometry import clamp_cosine, distance_to_nearest_boundary, horizon_cosine, sine_from_cosine
@@ -162,19 +163,20 @@ def compute_orders(shells: Shells, sizes: SourceSizes, sun_columns: SunColumns) 
 
 
 def _next_order(gatherer: _Gatherer, order: int, before: OrderOfLight | None) -> OrderOfLight:
+    altitudes = altitude_nodes(gatherer.shells.atmosphere, gatherer.sizes.altitudes)
+    levels = map_in_threads(lambda level: _gather_level(gatherer, altitudes[level], before), len(altitudes))
+    return OrderOfLight(order, torch.stack([source for source, _ in levels]), levels[0][1])
+
+
+def _gather_level(gatherer: _Gatherer, altitude: Tensor, before: OrderOfLight | None) -> tuple[Tensor, Tensor]:
+    """Sources at one altitude `(sun, angle, azimuth, 2 wavelength)`, and the sky's irradiance there `(sun, wavelength)`."""
     sizes, planet = gatherer.sizes, gatherer.shells.atmosphere
-    wavelengths = len(planet.wavelengths)
-    source = torch.zeros(*sizes.table, 2 * wavelengths)
-    irradiance = torch.zeros(sizes.suns, wavelengths, dtype=torch.float64)
-    for level, altitude in enumerate(altitude_nodes(planet, sizes.altitudes)):
-        grid = _ray_grid(gatherer, planet.bottom_radius + altitude)
-        radiance = _arriving_light(gatherer, grid, before)
-        if level == 0:
-            falling = (grid.weight * grid.rays.cos_view[:, 0, 0].clamp(min=0.0))[:, None, None, None]
-            irradiance = 2.0 * (falling * radiance).sum((0, 2))
-        radiance = radiance + _ground_light(gatherer, grid, before)
-        source[level] = _gather(gatherer, grid, radiance).reshape(sizes.suns, sizes.angles, sizes.azimuths, -1)
-    return OrderOfLight(order, source, irradiance)
+    grid = _ray_grid(gatherer, planet.bottom_radius + altitude)
+    radiance = _arriving_light(gatherer, grid, before)
+    falling = (grid.weight * grid.rays.cos_view[:, 0, 0].clamp(min=0.0))[:, None, None, None]
+    irradiance = 2.0 * (falling * radiance).sum((0, 2))
+    source = _gather(gatherer, grid, radiance + _ground_light(gatherer, grid, before))
+    return source.reshape(sizes.suns, sizes.angles, sizes.azimuths, -1), irradiance
 
 
 @dataclass(frozen=True, eq=False)
