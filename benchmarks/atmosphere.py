@@ -208,7 +208,7 @@ def measure_source(planet: AtmosphereParameters, truth: Truth, sizes: SourceSize
     rays = truth.rays(planet)
 
     def light(some: AirRay) -> tuple[Tensor, Tensor]:
-        nodes = place_nodes(shells, some, some.length(planet), sizes.nodes)
+        nodes = place_nodes(shells, some, some.length(planet), sizes.view_nodes)
         once = integrate_single_scattering(shells, columns, some, nodes)
         return once, integrate_source(shells, total, some, nodes)
 

@@ -80,6 +80,11 @@ class SourceSizes:
         """Nodes of the table."""
         return self.altitudes, self.suns, self.angles, self.azimuths
 
+    @property
+    def view_nodes(self) -> int:
+        """Nodes of each leg of a ray of a camera: twice those of the table's own, whose errors the phase functions average."""
+        return 2 * self.nodes
+
     def scaled(self, factor: float) -> "SourceSizes":
         """Sizes with this many times the intervals of each axis of the table and the directions and nodes of rays, at least 4."""
 

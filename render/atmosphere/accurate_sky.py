@@ -11,9 +11,11 @@ from render.atmosphere.air_ray import AirRay
 from render.atmosphere.ray_quadrature import RayNodes, place_nodes
 from render.atmosphere.rays import chosen_rays
 from render.atmosphere.shells import Shells
+from render.atmosphere.sky import AirLight, check_vectors, enter_air
 from render.atmosphere.source_function import SourceFunction, look_up_source
 from render.atmosphere.sun_columns import SunColumns, look_up_sunlight
 from render.cornette_shanks import evaluate_cornette_shanks
+from render.errors import ParameterError
 from render.rayleigh_phase import evaluate_rayleigh_phase
 
 RAYS_AT_ONCE = 1 << 12
@@ -56,6 +58,78 @@ def compute_radiance_to_distance(source: SourceFunction, rays: AirRay, distance:
         radiance[some] = once + integrate_source(source.shells, source.source, here, nodes)
         transmittance[some] = nodes.transmittance_to_end
     return radiance, transmittance
+
+
+def compute_sky_light(
+    source: SourceFunction, camera: Tensor, view: Tensor, sun: Tensor, shadow_length: Tensor | float = 0.0
+) -> AirLight:
+    """Light of the air along rays that nothing but the ground stops; the accurate counterpart of `look_up_sky_radiance`.
+
+    Args:
+        source: of the planet.
+        camera: eye points from the planet's centre `(..., 3)` [m]; may lie beyond the air.
+        view: unit vectors of the rays `(..., 3)`.
+        sun: unit vector towards the sun `(..., 3)`.
+        shadow_length: of the part of the ray next to the camera that no sunlight reaches `(...)` [m].
+
+    Returns:
+        Radiance, and transmittance to the top of the air: 0 where the ray meets the ground, 1 where it misses the air.
+
+    Raises:
+        ParameterError: for other shapes, or numbers that are not finite.
+    """
+    camera, view, sun, shadow = check_vectors(camera, view, sun, shadow_length)
+    rays, _, misses = enter_air(source.atmosphere, camera, view, sun)
+    flat = _flattened(rays)
+    shaded = torch.minimum(shadow.reshape(-1), flat.length(source.atmosphere))
+    lit, beyond = compute_sky_radiance(source, flat.at(source.atmosphere, shaded))
+    _, through = compute_radiance_to_distance(source, flat, shaded)
+    clear = torch.where(flat.intersects_ground[:, None], 0.0, through * beyond)
+    return _as_seen(misses, through * lit, clear)
+
+
+def compute_light_to_point(
+    source: SourceFunction, camera: Tensor, point: Tensor, sun: Tensor, shadow_length: Tensor | float = 0.0
+) -> AirLight:
+    """Light of the air between the camera and points; the accurate counterpart of `look_up_radiance_to_point`, never negative.
+
+    Args:
+        source: of the planet.
+        camera: eye points from the planet's centre `(..., 3)` [m]; may lie beyond the air.
+        point: what is looked at `(..., 3)` [m].
+        sun: unit vector towards the sun `(..., 3)`.
+        shadow_length: of the part of the ray next to the point that no sunlight reaches `(...)` [m].
+
+    Returns:
+        Radiance added and transmittance up to the point.
+
+    Raises:
+        ParameterError: for other shapes, numbers that are not finite, or a point that is the camera.
+    """
+    camera, point, sun, shadow = check_vectors(camera, point, sun, shadow_length, unit=False)
+    offset = point - camera
+    distance = torch.linalg.vector_norm(offset, dim=-1)
+    if not bool((distance > 0.0).all()):
+        raise ParameterError("a point that is looked at must lie apart from the camera; between them there is no air")
+    rays, entry, misses = enter_air(source.atmosphere, camera, offset / distance[..., None], sun)
+    flat = _flattened(rays)
+    inside = torch.minimum((distance - entry).clamp(min=0.0).reshape(-1), flat.length(source.atmosphere))
+    lit = (inside - shadow.reshape(-1)).clamp(min=0.0)
+    radiance, _ = compute_radiance_to_distance(source, flat, lit)
+    _, through = compute_radiance_to_distance(source, flat, inside)
+    return _as_seen(misses | (entry >= distance), radiance, through)
+
+
+def _flattened(rays: AirRay) -> AirRay:
+    return AirRay(*(value.reshape(-1) for value in rays.expanded().tensors()))
+
+
+def _as_seen(misses: Tensor, radiance: Tensor, transmittance: Tensor) -> AirLight:
+    """Light in the shape of the rays `(...)`; rays that miss the air see none of it."""
+    outside, shape = misses[..., None], (*misses.shape, radiance.shape[-1])
+    return AirLight(
+        torch.where(outside, 0.0, radiance.reshape(shape)), torch.where(outside, 1.0, transmittance.reshape(shape))
+    )
 
 
 def integrate_single_scattering(shells: Shells, sun_columns: SunColumns, rays: AirRay, nodes: RayNodes) -> Tensor:

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from render.atmosphere.parameters import AtmosphereParameters, DensityLayer, DensityProfile, evaluate_density
 from render.atmosphere.ray_geometry import distance_to_top_boundary, horizon_cosine, sine_from_cosine
+from render.atmosphere.transmittance import visible_sun_share
 
 SCALE_HEIGHTS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 13.0, 17.0, 22.0, 30.0)
 """Altitudes that cut an exponential layer, in its scale heights; above the last is 1e-13 of its air."""
@@ -198,22 +199,6 @@ def compute_exact_transmittance(shells: Shells, radius: Tensor, cosine: Tensor, 
     return torch.exp(-compute_columns(shells, radius, cosine, distance) @ shells.extinction)
 
 
-def visible_sun(atmosphere: AtmosphereParameters, radius: Tensor, cos_sun_zenith: Tensor) -> Tensor:
-    """Share of the sun's disc above the horizon, as Bruneton's reference has it: a smooth step as wide as the disc.
-
-    Args:
-        atmosphere: the planet.
-        radius: of the point from the centre `(...)` [m].
-        cos_sun_zenith: cosine between zenith and sun `(...)`.
-
-    Returns:
-        0 to 1 `(...)` [1].
-    """
-    half = atmosphere.bottom_radius / radius * atmosphere.sun_angular_radius
-    risen = ((cos_sun_zenith - horizon_cosine(atmosphere, radius) + half) / (2.0 * half)).clamp(0.0, 1.0)
-    return risen * risen * (3.0 - 2.0 * risen)
-
-
 def compute_exact_sun_transmittance(shells: Shells, radius: Tensor, cos_sun_zenith: Tensor) -> Tensor:
     """Share of the sun's light that reaches a point: transmittance towards its centre times the visible share of its disc.
 
@@ -229,7 +214,7 @@ def compute_exact_sun_transmittance(shells: Shells, radius: Tensor, cos_sun_zeni
     """
     planet = shells.atmosphere
     radius, cos_sun_zenith = torch.broadcast_tensors(radius, cos_sun_zenith)
-    share = visible_sun(planet, radius, cos_sun_zenith)
+    share = visible_sun_share(planet, radius, cos_sun_zenith)
     up = torch.nonzero(share.reshape(-1) > 0.0).flatten()
     r = radius.reshape(-1)[up]
     mu = torch.maximum(cos_sun_zenith.reshape(-1)[up], horizon_cosine(planet, r))

@@ -81,8 +81,8 @@ def look_up_sky_radiance(
         ParameterError: for other shapes, or numbers that are not finite.
     """
     atmosphere = tables.atmosphere
-    camera, view, sun, shadow = _check_vectors(camera, view, sun, shadow_length)
-    ray, _, misses = _enter_air(atmosphere, camera, view, sun)
+    camera, view, sun, shadow = check_vectors(camera, view, sun, shadow_length)
+    ray, _, misses = enter_air(atmosphere, camera, view, sun)
     here = look_up_transmittance_to_top(atmosphere, tables.transmittance, ray.radius, ray.cos_view)
     clear = torch.where(ray.intersects_ground[..., None], 0.0, here)
     air, aerosol = _scattered_separately(tables, ray.at(atmosphere, shadow))
@@ -115,12 +115,12 @@ def look_up_radiance_to_point(
         ParameterError: for other shapes, numbers that are not finite, or a point that is the camera.
     """
     atmosphere = tables.atmosphere
-    camera, point, sun, shadow = _check_vectors(camera, point, sun, shadow_length, unit=False)
+    camera, point, sun, shadow = check_vectors(camera, point, sun, shadow_length, unit=False)
     offset = point - camera
     distance = torch.linalg.vector_norm(offset, dim=-1)
     if not bool((distance > 0.0).all()):
         raise ParameterError("a point that is looked at must lie apart from the camera; between them there is no air")
-    ray, entry, misses = _enter_air(atmosphere, camera, offset / distance[..., None], sun)
+    ray, entry, misses = enter_air(atmosphere, camera, offset / distance[..., None], sun)
     misses, distance = misses | (entry >= distance), (distance - entry).clamp(min=0.0)
     passing = look_up_transmittance(
         atmosphere, tables.transmittance, ray.radius, ray.cos_view, distance, ray.intersects_ground
@@ -156,7 +156,7 @@ def look_up_surface_irradiance(tables: AtmosphereTables, point: Tensor, normal: 
         ParameterError: for other shapes, or numbers that are not finite.
     """
     atmosphere = tables.atmosphere
-    point, normal, sun, _ = _check_vectors(point, normal, sun, 0.0)
+    point, normal, sun, _ = check_vectors(point, normal, sun, 0.0)
     radius = torch.linalg.vector_norm(point, dim=-1)
     cos_sun = _dot(point, sun) / radius
     upright = (0.5 * (1.0 + _dot(normal, point) / radius))[..., None]
@@ -171,10 +171,10 @@ def _dot(a: Tensor, b: Tensor) -> Tensor:
     return (a * b).sum(-1)
 
 
-def _check_vectors(
+def check_vectors(
     first: Tensor, second: Tensor, sun: Tensor, shadow_length: Tensor | float, unit: bool = True
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Vectors and shadow lengths in float64, of the same shape."""
+    """Vectors and shadow lengths in float64, of the same shape; raises ParameterError for what is not one, as the look-ups say."""
     vectors = [torch.as_tensor(value, dtype=torch.float64) for value in (first, second, sun)]
     if any(value.shape[-1:] != (3,) for value in vectors):
         raise ParameterError(f"expected vectors (..., 3), got {', '.join(str(tuple(v.shape)) for v in vectors)}")
@@ -190,7 +190,7 @@ def _check_vectors(
     return first, second, sun, shadow.expand(first.shape[:-1])
 
 
-def _enter_air(
+def enter_air(
     atmosphere: AtmosphereParameters, camera: Tensor, view: Tensor, sun: Tensor
 ) -> tuple[AirRay, Tensor, Tensor]:
     """Rays from where they enter the air, the distance to there [m], and whether they miss it."""

@@ -44,7 +44,7 @@ class SourceFunction:
             aerosols; entry n of the sum is what light of order n - 1 becomes by one more scattering.
         sky_irradiance: of level ground by scattered light of orders 1 to `orders` - 1 `(sun, wavelength)` [W/m^2/nm].
         orders: largest number of scatterings and reflections.
-        nodes: of each leg of a ray along which the source is integrated.
+        nodes: of each leg of a camera's ray, along which the source is integrated.
 
     Raises:
         ParameterError: if the shapes do not fit together.

@@ -5,7 +5,9 @@ import pytest
 import torch
 
 from render.atmosphere.accurate_sky import (
+    compute_light_to_point,
     compute_radiance_to_distance,
+    compute_sky_light,
     compute_sky_radiance,
     integrate_single_scattering,
 )
@@ -16,6 +18,7 @@ from render.atmosphere.rays import rays_from_vectors
 from render.atmosphere.shells import compute_exact_transmittance, cut_into_shells
 from render.atmosphere.source_function import SourceFunction
 from render.atmosphere.sun_columns import build_sun_columns
+from render.errors import ParameterError
 from tests.support.planets import golden, golden_rays
 
 SHELLS = cut_into_shells(earth())
@@ -121,3 +124,39 @@ def test_the_sky_is_continuous_and_not_negative_as_the_sun_sets() -> None:
     assert float(steps.max()) < 0.05
     radiance, _ = compute_sky_radiance(source, rays_from_vectors(SHELLS.atmosphere, position, view, sun))
     assert bool((radiance >= once).all())
+
+
+def test_cameras_in_space_and_shadows_are_those_of_the_reference() -> None:
+    """The reference's tables are off by some percent, so this looks for the wrong ray, not the last digit."""
+    rows = golden("sky_radiance_extra")
+    dark = SourceFunction(SHELLS, COLUMNS, torch.zeros(4, 4, 4, 4, 6), torch.zeros(4, 3), 2, 16)
+    vectors = [torch.from_numpy(rows[name]) for name in ("camera_m", "view", "sun")]
+    found = compute_sky_light(dark, *vectors, torch.from_numpy(rows["shadow_length_m"]))
+    theirs = rows["L_order1"]
+    missed = (rows["L_orders1_4"] == 0.0).all(1)
+    assert missed.any()
+    assert bool((found.radiance[missed] == 0.0).all())
+    assert bool((found.transmittance[missed] == 1.0).all())
+    bright = theirs > 0.01 * theirs.max()
+    error = np.abs(found.radiance.numpy() / np.where(bright, theirs, 1.0) - 1.0)[bright]
+    assert np.median(error) < 0.02
+    without = compute_sky_light(dark, *vectors).radiance.numpy()
+    shaded = (rows["shadow_length_m"] > 5000.0)[:, None] & bright
+    assert np.median(np.abs(without / np.where(bright, theirs, 1.0) - 1.0)[shaded]) > 3.0 * np.median(error)
+    np.testing.assert_allclose(found.transmittance.numpy(), rows["transmittance"], atol=5e-3)
+
+
+def test_light_to_a_point_keeps_its_shape_and_ends_at_the_shadow() -> None:
+    source, bottom = made_up_source(), SHELLS.atmosphere.bottom_radius
+    camera = torch.tensor([0.0, 0.0, bottom + 100.0], dtype=torch.float64)
+    point = camera + torch.tensor([[[3000.0, 0.0, 0.0]], [[0.0, 5000.0, 100.0]]], dtype=torch.float64)
+    sun = torch.tensor([0.6, 0.0, 0.8], dtype=torch.float64)
+    whole = compute_light_to_point(source, camera, point, sun)
+    assert whole.radiance.shape == whole.transmittance.shape == (2, 1, 3)
+    shaded = compute_light_to_point(source, camera, point, sun, 1000.0)
+    assert bool((shaded.radiance < whole.radiance).all())
+    torch.testing.assert_close(shaded.transmittance, whole.transmittance)
+    all_dark = compute_light_to_point(source, camera, point, sun, 1e6)
+    assert float(all_dark.radiance.abs().max()) == 0.0
+    with pytest.raises(ParameterError, match="apart"):
+        compute_light_to_point(source, camera, camera, sun)

@@ -23,8 +23,8 @@ from render.atmosphere.shells import (
     cut_into_shells,
     mean_incidence,
     shell_crossings,
-    visible_sun,
 )
+from render.atmosphere.transmittance import visible_sun_share
 from tests.support.planets import golden, uniform_air
 
 
@@ -112,7 +112,7 @@ def test_the_sun_rises_over_the_width_of_its_disc() -> None:
     width = planet.bottom_radius / radius * planet.sun_angular_radius
     for offset, share in ((-1.0, 0.0), (0.0, 0.5), (1.0, 1.0)):
         torch.testing.assert_close(
-            visible_sun(planet, radius, horizon + offset * width), torch.full_like(radius, share)
+            visible_sun_share(planet, radius, horizon + offset * width), torch.full_like(radius, share)
         )
     shells = cut_into_shells(planet)
     light = compute_exact_sun_transmittance(shells, radius, horizon + torch.tensor([[-1.001], [-0.5], [0.5]]) * width)
