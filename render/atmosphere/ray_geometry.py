@@ -110,14 +110,15 @@ def distance_to_bottom_boundary(atmosphere: AtmosphereParameters, radius: Tensor
         cosine: between ray and zenith `(...)`.
 
     Returns:
-        Distance `(...)` [m], at least zero; without meaning for a ray that `ray_intersects_ground` denies.
+        Distance `(...)` [m], at least zero; for a ray that passes the ground, that to its lowest point.
     """
     bottom = atmosphere.bottom_radius
     ahead = radius * cosine
-    root = safe_sqrt(_half_chord_squared(bottom, radius, cosine))
+    chord = _half_chord_squared(bottom, radius, cosine)
+    root = safe_sqrt(chord)
     total = ahead.abs() + root
     nearer = (radius - bottom) * (radius + bottom) / torch.where(total > 0.0, total, 1.0)
-    return clamp_distance(torch.where(ahead < 0.0, nearer, -ahead - root))
+    return clamp_distance(torch.where((ahead < 0.0) & (chord > 0.0), nearer, -ahead - root))
 
 
 def ray_intersects_ground(atmosphere: AtmosphereParameters, radius: Tensor, cosine: Tensor) -> Tensor:

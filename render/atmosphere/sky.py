@@ -108,8 +108,8 @@ def look_up_radiance_to_point(
         shadow_length: of the part of the ray next to the point that no sunlight reaches `(...)` [m].
 
     Returns:
-        Radiance added and transmittance up to the point. Near the point or where the sun is low the difference of two interpolated numbers
-        may be negative by a few 1e-7 of the solar irradiance.
+        Radiance added and transmittance up to the point. Light is a difference of interpolated numbers, which for near points and a low sun
+        may come out below zero; it is held at zero there.
 
     Raises:
         ParameterError: for other shapes, numbers that are not finite, or a point that is the camera.
@@ -137,7 +137,7 @@ def look_up_radiance_to_point(
         atmosphere, ray, air - to_shadow * air_behind, (aerosol - to_shadow * aerosol_behind) * fade
     )
     outside = misses[..., None]
-    return AirLight(torch.where(outside, 0.0, radiance), torch.where(outside, 1.0, passing))
+    return AirLight(torch.where(outside, 0.0, radiance.clamp(min=0.0)), torch.where(outside, 1.0, passing))
 
 
 def look_up_surface_irradiance(tables: AtmosphereTables, point: Tensor, normal: Tensor, sun: Tensor) -> Irradiance:
