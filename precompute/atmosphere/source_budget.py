@@ -201,7 +201,9 @@ class _Plan:
             light, total = light + last, _sum(total, one)
             remainder = _remainder(before, last, light)
         self.on_progress(f"order {total.order}, {sizes.altitudes} altitudes", 1.0)
-        source = SourceFunction(self.shells, self.columns, total.source, total.sky_irradiance, total.order, sizes.view_nodes)
+        source = SourceFunction(
+            self.shells, self.columns, total.source, total.sky_irradiance, total.order, sizes.view_nodes
+        )
         return _Built(source, light, sizes, remainder)
 
 
