@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 from benchmarks import (
     accuracy,
+    atmosphere,
     evaluation,
     fog,
     masks,
@@ -39,6 +40,7 @@ BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType(
             optimisers,
             paper_experiment,
             fog,
+            atmosphere,
         )
     }
 )

@@ -10,6 +10,9 @@ LENGTH = "m"
 ANGLE = "rad"
 COEFFICIENT = "1/m"
 
+METRES_PER_NANOMETRE = 1e-9
+METRES_PER_KILOMETRE = 1e3
+
 
 def radians_from_degrees(angle_deg: float) -> float:
     """Angle [rad] from an angle in degrees."""
