@@ -212,8 +212,10 @@ class ScatteringStack(nn.Module):
         columns = _surrounding(self.tables.extinction, extinction)
         rows = _surrounding(self.tables.asymmetry, asymmetry)
         bright = ((albedo - BRIGHT_ALBEDO) / (1.0 - BRIGHT_ALBEDO)).clamp(0.0, 1.0)
-        tables = (self.tables.image_error.to(bright), self.tables.bright_error.to(bright))
-        around = [torch.lerp(*(table[row, column] for table in tables), bright) for row in rows for column in columns]
+        usual, brightest = self.tables.image_error.to(bright), self.tables.bright_error.to(bright)
+        around = [
+            torch.lerp(usual[row, column], brightest[row, column], bright) for row in rows for column in columns
+        ]
         return torch.stack(around).amax(0)
 
     def is_usable(self, asymmetry: Tensor, extinction: Tensor, albedo: Tensor) -> Tensor:
