@@ -5,9 +5,10 @@ that the camera sees, closer together than the mean free path allows anywhere el
 step and its own set of paths for all of its nodes.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -43,6 +44,12 @@ THICK_SPACING = 0.5
 
 SECTIONS_PER_STRATUM = 2
 """Single scattering is cut finer than the source points' strata: it has no noise to hide behind."""
+
+THIN_DEPTH, FEWEST_STRATA = 2.0, 4
+"""In groups thinner than this the number of strata falls with the root of the depth: where little is absorbed, little depends on where."""
+
+FAINT_SHARE, FAINT_EFFORT = 5.0, 0.1
+"""Multiple scattering below so many times the tolerance gets a tenth of the points and paths; the error is estimated as ever."""
 
 LARGEST_LATTICE = 1 << 24
 """Lattice points that may be numbered, whether or not they are used."""
@@ -105,6 +112,13 @@ class GroupTask:
         return min(max(STEP_DEPTH / voxel_depth, SMALLEST_STEP), LARGEST_STEP)
 
     @property
+    def strata(self) -> int:
+        """Positions along a ray."""
+        depth = float(self.extinction[-1]) * self.view.largest_optical_length
+        needed = math.ceil(self.effort.strata * min(1.0, math.sqrt(depth / THIN_DEPTH)))
+        return min(self.effort.strata, max(FEWEST_STRATA, needed))
+
+    @property
     def nodes(self) -> TableNodes:
         """Nodes and anchors of the paths."""
         anchors = self.extinction[self.extinction * self.view.largest_optical_length >= THINNEST_ANCHOR]
@@ -139,14 +153,14 @@ class _Clock:
 
 def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages:
     """Images of a group; `report` is called with the share that is done."""
-    clock, view, effort = _Clock(), task.view, task.effort
-    sections = SECTIONS_PER_STRATUM * effort.strata
+    clock, view = _Clock(), task.view
+    sections = SECTIONS_PER_STRATUM * task.strata
     single = compute_single_scattering(
         view.grid, view.origin, view.direction, view.sun, task.extinction, task.step, sections
     )
     clock.lap("single scattering")
     report(0.1)
-    strata = stratify_rays(view.grid, view.origin, view.direction, task.extinction, effort.strata)
+    strata = stratify_rays(view.grid, view.origin, view.direction, task.extinction, task.strata)
     clock.lap("camera rays")
     pilot = _fly_pilot(task, strata, single)
     clock.lap("pilot")
@@ -154,7 +168,7 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     if pilot.enough == 0:
         report(1.0)
         return _single_only(task, single, pilot.complete(torch.empty(0), phase[:, None] * single), pilot, clock)
-    plan = plan_orders(pilot.plan.knots[pilot.enough - 1])
+    plan, effort = plan_orders(pilot.plan.knots[pilot.enough - 1]), pilot.suited(task.effort)
     lattice, importance = _place_points(view, strata, effort.points)
     clock.lap("source points")
     table = task.source_table(lattice, plan, 1)
@@ -254,13 +268,25 @@ class Pilot:
         plan: all orders that may be traced.
         enough: number of images that the tolerance needs; zero where single scattering is enough.
         omitted: share of the mean image that the others have, at the node where it is largest.
+        multiple: share that all of them have, likewise.
         mean: of every image over the pixels `(knot, asymmetry, extinction)`; none without a tolerance.
     """
 
     plan: OrderPlan
     enough: int
     omitted: float
+    multiple: float
     mean: Tensor | None
+
+    def suited(self, effort: Effort) -> Effort:
+        """The effort that the group's multiple scattering is worth."""
+        if effort.tolerance is None or self.multiple > FAINT_SHARE * effort.tolerance:
+            return effort
+        return replace(
+            effort,
+            points=max(PILOT_POINTS, round(FAINT_EFFORT * effort.points)),
+            paths=max(PILOT_PATHS, round(FAINT_EFFORT * effort.paths)),
+        )
 
     def complete(self, multiple: Tensor, shape: Tensor) -> Tensor:
         """Images of all knots: those that were not traced have the pilot's mean and the shape of the last one that was.
@@ -283,7 +309,7 @@ def _fly_pilot(task: GroupTask, strata: Strata, single: Tensor) -> Pilot:
     """Find out which orders the tolerance needs."""
     plan = plan_orders(task.effort.orders)
     if task.effort.tolerance is None:
-        return Pilot(plan, len(plan.knots), 0.0, None)
+        return Pilot(plan, len(plan.knots), 0.0, 1.0, None)
     rays = probe_rays(len(task.view.pixel))
     view, part = task.view.part(rays), strata.part(rays)
     lattice, importance = _place_points(view, part, PILOT_POINTS)
@@ -303,7 +329,7 @@ def _fly_pilot(task: GroupTask, strata: Strata, single: Tensor) -> Pilot:
     bright = _shares_beyond(1.0, lit, mean, knots)
     small = (judged <= OMITTED_SHARE * task.effort.tolerance) & (bright <= task.effort.tolerance)
     enough = int(small.nonzero()[0])
-    return Pilot(plan, enough, float(judged[enough]), mean)
+    return Pilot(plan, enough, float(judged[enough]), float(judged[0]), mean)
 
 
 def _shares_beyond(albedo: float, single: Tensor, mean: Tensor, knots: Tensor) -> Tensor:
