@@ -42,7 +42,7 @@ White = Annotated[
     float | None,
     typer.Option(
         min=1e-9,
-        help="Luminance shown as white, in cd/m^2. Without it a tenth of the pixels is brighter.",
+        help="Luminance shown as light grey, in cd/m^2. Without it a tenth of the pixels is brighter.",
         rich_help_panel=o.CAMERA,
     ),
 ]
@@ -69,6 +69,9 @@ TablesFolder = Annotated[
 ]
 
 SWEEP_HIGHEST, SWEEP_LOWEST = 60.0, -12.0
+
+WAVELENGTHS = tuple(1e-9 * value for value in range(400, 701, 50))
+"""Seven are needed for the colours of dusk: three miss most of what ozone absorbs, and make it purple [m]."""
 
 
 def sky(
@@ -104,7 +107,7 @@ def sky(
         height = max(1, width // 2) if panorama else height
         directions = _directions(panorama, camera_azimuth, camera_elevation, camera_fov, width, height)
         folder = tables if tables is not None else out.parent / TABLES_NAME
-        atmosphere = earth(ground_albedo=ground_albedo).with_aerosol(aerosol)
+        atmosphere = earth(WAVELENGTHS, ground_albedo=ground_albedo).with_aerosol(aerosol)
         with speaker.progress() as bars:
             filled, report = prepare_atmosphere_tables(atmosphere, _plan(quality), folder, bars.stage)
         speaker.say(f"tables {'loaded' if report.reused else 'built'} in {report.seconds:.1f} s")

@@ -18,7 +18,7 @@ from render.colour import luminance
 from render.errors import ParameterError
 
 SHOWN_WHITE = 0.9
-"""Share of the pixels that are darker than the luminance which automatic exposure shows as near white."""
+"""Share of the pixels that are darker than the luminance which automatic exposure takes for white."""
 
 
 def compose_sky(tables: AtmosphereTables, altitude: float, direction: Tensor, sun: Tensor) -> Tensor:
@@ -93,11 +93,11 @@ def choose_white(rgb: Tensor) -> float:
 
 
 def show_sky(rgb: Tensor, white: float, exposure: float = 0.0) -> Tensor:
-    """A picture for a display: 1 - exp(-2 L / white), so that nothing burns out at once.
+    """A picture for a display: 1 - exp(-L / white), so that nothing burns out at once.
 
     Args:
         rgb: linear sRGB `(..., channel)` [cd/m^2].
-        white: luminance that is shown as near white, 0.86 [cd/m^2].
+        white: luminance that is shown as 0.63, which the display curve makes a light grey [cd/m^2].
         exposure: brighter by so many factors of two [1].
 
     Returns:
@@ -108,4 +108,4 @@ def show_sky(rgb: Tensor, white: float, exposure: float = 0.0) -> Tensor:
     """
     if not (white > 0.0 and math.isfinite(white) and math.isfinite(exposure)):
         raise ParameterError(f"expected a positive white and a finite exposure, got {white} cd/m^2 and {exposure}")
-    return -torch.expm1(-rgb * (2.0**exposure * 2.0 / white)).to(torch.float32)
+    return -torch.expm1(-rgb * (2.0**exposure / white)).to(torch.float32)
