@@ -38,8 +38,8 @@ class TablePlan:
         sizes: nodes of each axis.
         orders: how often light may be scattered, at least 1.
         quadratures: rules of the integrals.
-        precision: type in which tables are kept, a name of `DTYPES`. Geometry is float64 in either; with float32, tables take half the
-            memory, and differ by less than 1e-5 of each table's largest value.
+        precision: type in which tables are kept, a name of `DTYPES`. Geometry is float64 in either; with float32, tables take half
+            the memory, not less time, and differ by less than 1e-6 of each table's largest value.
 
     Raises:
         ParameterError: for fewer than one order, or another type.

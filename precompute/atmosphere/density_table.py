@@ -28,8 +28,9 @@ from render.atmosphere.tables import TableSizes, scattering_nodes, view_index
 from render.cornette_shanks import evaluate_cornette_shanks
 from render.rayleigh_phase import evaluate_rayleigh_phase
 
-DIRECTIONS_AT_ONCE = 1 << 17
-"""Pairs of a node and an azimuth that are worked on together: a megabyte, which stays in the cache."""
+DIRECTIONS_AT_ONCE = 1 << 16
+"""Pairs of a node and an azimuth that are worked on together for each table: half a megabyte a number, so that most of them stay in
+the cache."""
 
 
 def _coefficients(values: Tensor) -> Tensor:
@@ -91,7 +92,8 @@ def build_scattering_density(
         _incident_ring(atmosphere, transmittance, before, ground_irradiance, radius_node, rays, angle, weight)
         for angle, weight in zip(*rule.polar_nodes(math.pi), strict=True)
     ]
-    step = max(1, DIRECTIONS_AT_ONCE // (sizes.view_suns * sizes.suns * rule.azimuth_nodes()[0].shape[0]))
+    directions = sizes.view_suns * sizes.suns * rule.azimuth_nodes()[0].shape[0]
+    step = max(1, DIRECTIONS_AT_ONCE // (directions * len(before.tables)))
     found = [
         _scatter_rings(atmosphere, before, rings, _some_views(rays, slice(start, start + step)), rule)
         for start in range(0, sizes.views, step)

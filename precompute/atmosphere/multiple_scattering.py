@@ -15,8 +15,8 @@ from render.atmosphere.table_interpolation import nearest_nodes
 from render.atmosphere.tables import TableSizes, look_up_scattering, scattering_nodes, view_index
 from render.atmosphere.transmittance import look_up_transmittance
 
-SAMPLES_AT_ONCE = 1 << 18
-"""Points of rays that are worked on together; a few megabytes, which stay in the cache."""
+SAMPLES_AT_ONCE = 1 << 16
+"""Points of rays that are worked on together: half a megabyte a number, so that most of them stay in the cache."""
 
 
 def compute_multiple_scattering(

@@ -22,8 +22,8 @@ from render.atmosphere.transmittance import (
     visible_sun_share,
 )
 
-SAMPLES_AT_ONCE = 1 << 18
-"""Points of rays that are worked on together; a few megabytes, which stay in the cache."""
+SAMPLES_AT_ONCE = 1 << 16
+"""Points of rays that are worked on together: half a megabyte a number, so that most of them stay in the cache."""
 
 
 def compute_single_scattering(
