@@ -213,9 +213,7 @@ class ScatteringStack(nn.Module):
         rows = _surrounding(self.tables.asymmetry, asymmetry)
         bright = ((albedo - BRIGHT_ALBEDO) / (1.0 - BRIGHT_ALBEDO)).clamp(0.0, 1.0)
         usual, brightest = self.tables.image_error.to(bright), self.tables.bright_error.to(bright)
-        around = [
-            torch.lerp(usual[row, column], brightest[row, column], bright) for row in rows for column in columns
-        ]
+        around = [torch.lerp(usual[row, column], brightest[row, column], bright) for row in rows for column in columns]
         return torch.stack(around).amax(0)
 
     def is_usable(self, asymmetry: Tensor, extinction: Tensor, albedo: Tensor) -> Tensor:
