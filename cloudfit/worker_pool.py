@@ -2,7 +2,7 @@
 
 import multiprocessing
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ from cloudfit.one_photograph import (
     treat_photograph,
 )
 from cloudfit.scene import Scene
-from cloudfit.worker_process import begin_worker
+from cloudfit.worker_process import begin_worker, end_pool
 from render.camera import Camera
 from render.density_grid import DensityGrid
 from render.errors import InputError
@@ -103,7 +103,7 @@ def _run_pool(jobs: Sequence[Job], packet: "_Packet", workers: int) -> Iterator[
             except BrokenProcessPool:
                 continue
     finally:
-        _shut_down(pool, futures)
+        end_pool(pool, futures)
 
 
 def _pack(source: StackSource, token: str, threads: int) -> _Packet:
@@ -123,18 +123,6 @@ def _pack(source: StackSource, token: str, threads: int) -> _Packet:
         token,
         threads,
     )
-
-
-def _shut_down(pool: ProcessPoolExecutor, futures: Sequence[Future[Outcome]]) -> None:
-    """End the processes without waiting for what they are at."""
-    processes = list((pool._processes or {}).values())
-    finished = all(future.done() for future in futures)
-    pool.shutdown(wait=finished, cancel_futures=True)
-    if not finished:
-        for process in processes:
-            process.terminate()
-        for process in processes:
-            process.join()
 
 
 def _start(packet: _Packet) -> None:

@@ -1,9 +1,12 @@
-"""What every worker process does first."""
+"""How worker processes begin and end."""
 
 import multiprocessing
 import os
 import signal
 import threading
+from collections.abc import Collection
+from concurrent.futures import Future, ProcessPoolExecutor
+from typing import Any
 
 import cv2
 import torch
@@ -29,3 +32,20 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+def end_pool(pool: ProcessPoolExecutor, futures: Collection[Future[Any]]) -> None:
+    """End the processes of a pool without waiting for what they are at.
+
+    Args:
+        pool: that is not used again.
+        futures: all that it was given.
+    """
+    processes = list((pool._processes or {}).values())
+    finished = all(future.done() for future in futures)
+    pool.shutdown(wait=finished, cancel_futures=True)
+    if not finished:
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.join()

@@ -11,7 +11,7 @@ import torch
 from cloudfit.batch import available_cores
 from cloudfit.comparison.experiment import ProblemTask, perform_and_write
 from cloudfit.comparison.run_record import Floats, RunRecord, Trace, read_run, write_run
-from cloudfit.worker_process import begin_worker
+from cloudfit.worker_process import begin_worker, end_pool
 
 DIED = "the process of the run died"
 
@@ -55,14 +55,7 @@ def _run_pool(tasks: Sequence[ProblemTask], workers: int, threads: int) -> Itera
                 continue
             yield futures[future]
     finally:
-        processes = list((pool._processes or {}).values())
-        finished = all(future.done() for future in futures)
-        pool.shutdown(wait=finished, cancel_futures=True)
-        if not finished:
-            for process in processes:
-                process.terminate()
-            for process in processes:
-                process.join()
+        end_pool(pool, futures)
 
 
 def _perform(task: ProblemTask) -> Path:
