@@ -63,6 +63,7 @@ class EvolutionState:
         points: (evaluation, parameter) float64.
         losses: (evaluation,) float64.
         next_design: (design, parameter) to be evaluated before any child, or None.
+        waiting: (design, parameter) to be evaluated after it, or None.
         begins: number of the first evaluation of this run; 0 where it unites all.
         unchanged: generations without improvement.
         runs: number of runs that have ended.
@@ -73,6 +74,7 @@ class EvolutionState:
     points: Tensor
     losses: Tensor
     next_design: Tensor | None
+    waiting: Tensor | None = None
     begins: int = 0
     unchanged: int = 0
     runs: int = 0
@@ -86,6 +88,8 @@ class ScreenedEvolution:
     Args:
         population_size: children evaluated at once.
         first_design: points of the first design.
+        first_look: points of it that are evaluated by themselves before the others; the very first is the start or the centre, which
+            is worth knowing early.
         later_design: points of the designs of later runs.
         children: bred for each that is evaluated.
         elite_size: best points that breed in a run.
@@ -101,6 +105,7 @@ class ScreenedEvolution:
 
     population_size: int = 20
     first_design: int = 32
+    first_look: int = 1
     later_design: int = 32
     children: int = 15
     elite_size: int = 40
@@ -112,6 +117,10 @@ class ScreenedEvolution:
 
     def __post_init__(self) -> None:
         least = min(self.population_size, self.children, self.patience, self.largest_iterations)
+        if not 1 <= self.first_look < self.first_design:
+            raise ParameterError(
+                f"expected a first_look of 1 or more and less than first_design, got {self.first_look} of {self.first_design}"
+            )
         if least < 1 or min(self.first_design, self.later_design, self.elite_size, self.united_elite_size) < 2:
             raise ParameterError(
                 "expected at least one child, one generation and two points in designs and elites, got "
@@ -125,11 +134,12 @@ class ScreenedEvolution:
             )
 
     def init(self, dimension: int, generator: torch.Generator, start: Tensor | None = None) -> EvolutionState:
-        """Nothing evaluated; the first design, and the start in it if there is one, come next."""
+        """Nothing evaluated; the first design, which begins with the start or the centre, comes next."""
         seed = int(torch.randint(2**31, (), generator=generator))
         nothing = torch.empty(0, dimension, dtype=torch.float64)
-        design = space_filling_points(self.first_design, dimension, seed, start)
-        return EvolutionState(seed, nothing, nothing[:, 0], design)
+        middle = torch.full((dimension,), 0.5, dtype=torch.float64) if start is None else start
+        design = space_filling_points(self.first_design, dimension, seed, middle)
+        return EvolutionState(seed, nothing, nothing[:, 0], design[: self.first_look], design[self.first_look :])
 
     def ask(self, state: EvolutionState) -> tuple[Tensor, EvolutionState]:
         """The next design, or the chosen children of a generation."""
@@ -152,7 +162,8 @@ class ScreenedEvolution:
             state,
             points=torch.cat([state.points, population.double()]),
             losses=torch.cat([state.losses, losses]),
-            next_design=None,
+            next_design=state.waiting,
+            waiting=None,
             unchanged=0 if improved else state.unchanged + 1,
             iterations=state.iterations + 1,
         )

@@ -88,7 +88,7 @@ def test_runs_end_without_improvement_and_every_other_unites() -> None:
         runs.append(state.runs)
         begins.append(state.begins)
     #       design and 2 gens; design and 2; united: 2; design and 2; united
-    assert sizes == [8, 4, 4, 6, 4, 4, 4, 4, 6, 4, 4, 4]
+    assert sizes == [1, 7, 4, 4, 6, 4, 4, 4, 4, 6, 4, 4]
     assert runs == [0, 0, 1, 1, 1, 2, 2, 3, 3, 3, 4, 4]
     assert begins == [0, 0, 16, 16, 16, 0, 0, 38, 38, 38, 0, 0]
 
@@ -136,8 +136,12 @@ def test_it_is_ahead_of_controlled_random_search_and_the_genetic_algorithm_at_an
 def test_iterations_are_limited_and_numbers_checked() -> None:
     method = AskTellMinimiser(ScreenedEvolution(largest_iterations=3))
     result = method.minimise(rough, 3, Budget(), 1)
-    assert (result.stop_reason, result.evaluations) == (StopReason.ITERATIONS, 32 + 20 + 20)
-    for keywords in ({"population_size": 0}, {"children": 0}, {"first_design": 1}, {"elite_size": 1}, {"patience": 0}):
+    assert (result.stop_reason, result.evaluations) == (StopReason.ITERATIONS, 1 + 31 + 20)
+    assert torch.equal(result.evaluated[0], torch.full((3,), 0.5))
+    for look in (0, 32):
+        with pytest.raises(ParameterError, match="first_look"):
+            ScreenedEvolution(first_look=look)
+    for keywords in ({"population_size": 0}, {"children": 0}, {"first_design": 2, "later_design": 1}, {"elite_size": 1}, {"patience": 0}):
         with pytest.raises(ParameterError, match="expected at least one child"):
             ScreenedEvolution(**keywords)  # type: ignore[arg-type]
     for keywords in ({"weights": ()}, {"weights": (1.5,)}, {"least_improvement": -1.0}):
