@@ -254,7 +254,13 @@ def publish(name: str, question: str, quick: bool, outcome: Outcome, file: Path 
         "benchmark": name,
         "question": question,
         "quick": quick,
-        "command": ["python", "-m", "benchmarks", *sys.argv[1:]],
+        # Where on this machine something lies is nobody's business.
+        "command": [
+            "python",
+            "-m",
+            "benchmarks",
+            *(Path(a).name if Path(a).is_absolute() else a for a in sys.argv[1:]),
+        ],
         "date": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "machine": machine,
         "notes": list(outcome.notes),

@@ -141,7 +141,13 @@ def test_iterations_are_limited_and_numbers_checked() -> None:
     for look in (0, 32):
         with pytest.raises(ParameterError, match="first_look"):
             ScreenedEvolution(first_look=look)
-    for keywords in ({"population_size": 0}, {"children": 0}, {"first_design": 2, "later_design": 1}, {"elite_size": 1}, {"patience": 0}):
+    for keywords in (
+        {"population_size": 0},
+        {"children": 0},
+        {"first_design": 2, "later_design": 1},
+        {"elite_size": 1},
+        {"patience": 0},
+    ):
         with pytest.raises(ParameterError, match="expected at least one child"):
             ScreenedEvolution(**keywords)  # type: ignore[arg-type]
     for keywords in ({"weights": ()}, {"weights": (1.5,)}, {"least_improvement": -1.0}):
