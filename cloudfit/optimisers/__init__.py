@@ -60,8 +60,8 @@ OPTIMISERS: Mapping[str, Minimiser] = MappingProxyType(
 DEFAULT_OPTIMISER = "screened_evolution"
 """The largest anytime area of all, over evaluations and over seconds.
 
-`python -m benchmarks optimisers`, 12 problems, 15 seeds, 600 evaluations a run (benchmarks/results/optimisers.json). Excess over the best loss
-that anyone found; seconds of the processor for one run:
+`python -m benchmarks optimisers`, 12 problems, 15 seeds, 600 evaluations a run (benchmarks/results/optimisers.json). Excess over the
+best loss that anyone found; seconds of the processor for one run:
 
 | method | area, evaluations | area, seconds | median excess | runs within 1 % | seconds |
 |---|---|---|---|---|---|
