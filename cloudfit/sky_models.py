@@ -27,7 +27,7 @@ Progress = Callable[[str, float], None]
 WAVELENGTHS = tuple(1e-9 * value for value in range(400, 701, 50))
 """Seven are needed for the colours of dusk: three miss most of what ozone absorbs, and make it purple [m]."""
 
-TOLERANCES = {"draft": 0.05, "standard": 0.01, "reference": 0.003}
+TOLERANCES = {"draft": 0.05, "standard": 0.01, "reference": 0.004}
 """Accepted error of the light scattered more than once, by quality [1]."""
 
 PLANS = {
