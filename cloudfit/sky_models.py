@@ -1,5 +1,6 @@
 """The two models of the clear sky behind one face: accurate integrals, and the tables of the reference."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from precompute.atmosphere.sky_view import build_sky_view
 from precompute.atmosphere.source_store import load_or_build_source
 from precompute.atmosphere_store import prepare_atmosphere_tables
 from precompute.atmosphere_tables import TablePlan
-from render.atmosphere.parameters import AtmosphereParameters
+from render.atmosphere.parameters import AtmosphereParameters, spectrum_tensor
 from render.atmosphere.sky import AirLight, look_up_radiance_to_point, look_up_surface_irradiance
 from render.atmosphere.sky_image import compose_sky, compose_sky_view
 from render.atmosphere.sky_view import look_up_sky_view
@@ -51,8 +52,9 @@ class SkyModel(Protocol):
     def light_up_to(self, distance: float, altitude: float, direction: Tensor, sun: Tensor) -> AirLight:
         """What the air up to a distance [m] adds in directions `(ray, 3)`, and what it lets through."""
 
-    def irradiance(self, altitude: float, sun: Tensor) -> tuple[Tensor, Tensor]:
-        """Light on a surface that faces the sun, and the sky's on a level one, each `(wavelength,)` [W/m^2/nm]."""
+    def light_at(self, altitude: float, sun: Tensor) -> tuple[Tensor, Tensor]:
+        """The sun's irradiance of a surface that faces it [W/m^2/nm], and the mean radiance of all around, sky and ground, that light
+        on a level surface from above and from below makes out [W/m^2/sr/nm], each `(wavelength,)`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +80,11 @@ class AccurateSky:
         """As `SkyModel.light_up_to`."""
         return look_up_sky_view(build_sky_view(self.source, altitude, sun, reach=distance), direction.double())[0]
 
-    def irradiance(self, altitude: float, sun: Tensor) -> tuple[Tensor, Tensor]:
-        """As `SkyModel.irradiance`."""
-        normals = torch.stack([sun, sun.new_tensor([0.0, 0.0, 1.0])])
+    def light_at(self, altitude: float, sun: Tensor) -> tuple[Tensor, Tensor]:
+        """As `SkyModel.light_at`."""
+        normals = torch.stack([sun, sun.new_tensor([0.0, 0.0, 1.0]), sun.new_tensor([0.0, 0.0, -1.0])])
         found = compute_surface_irradiance(build_sky_view(self.source, altitude, sun), normals)
-        return found.sun[0], found.sky[1]
+        return found.sun[0], (found.sky + found.ground)[1:].sum(0) / (2.0 * math.pi)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,12 +111,15 @@ class TabulatedSky:
         eye = self._eye(altitude, direction)
         return look_up_radiance_to_point(self.tables, eye, eye + distance * direction.double(), sun)
 
-    def irradiance(self, altitude: float, sun: Tensor) -> tuple[Tensor, Tensor]:
-        """As `SkyModel.irradiance`."""
-        eye = self._eye(altitude, sun)
-        facing = look_up_surface_irradiance(self.tables, eye, sun, sun)
-        level = look_up_surface_irradiance(self.tables, eye, eye / torch.linalg.vector_norm(eye), sun)
-        return facing.sun, level.sky
+    def light_at(self, altitude: float, sun: Tensor) -> tuple[Tensor, Tensor]:
+        """As `SkyModel.light_at`; from below comes what the ground reflects, as if there were no air between."""
+        eye, ground = self._eye(altitude, sun), self._eye(0.0, sun)
+        zenith = eye / torch.linalg.vector_norm(eye)
+        facing = look_up_surface_irradiance(self.tables, eye, sun, sun).sun
+        above = look_up_surface_irradiance(self.tables, eye, zenith, sun).sky
+        lit = look_up_surface_irradiance(self.tables, ground, zenith, sun)
+        below = spectrum_tensor(self.atmosphere.ground_albedo, above) * (lit.sun + lit.sky)
+        return facing, (above + below) / (2.0 * math.pi)
 
     def _eye(self, altitude: float, like: Tensor) -> Tensor:
         return torch.tensor(

@@ -46,20 +46,21 @@ def test_air_in_front_of_a_cloud(model: SkyModel) -> None:
 
 @pytest.mark.parametrize("model", [ACCURATE, TABULATED])
 def test_light_at_a_height(model: SkyModel) -> None:
-    low_sun, low_sky = model.irradiance(0.0, SUN)
-    high_sun, high_sky = model.irradiance(8000.0, SUN)
+    low_sun, low_around = model.light_at(0.0, SUN)
+    high_sun, high_around = model.light_at(8000.0, SUN)
     solar = torch.tensor(earth().solar_irradiance, dtype=torch.float64)
     assert bool(((low_sun < high_sun) & (high_sun < solar)).all())
-    assert bool((high_sky < low_sky).all())
+    assert bool((low_around > 0.0).all() & (math.pi * low_around < low_sun).all())
+    assert float(high_around[2] / low_around[2]) == pytest.approx(1.0, abs=0.5)
     assert float(low_sun[2] / low_sun[0]) < float(high_sun[2] / high_sun[0]), "the lower, the redder"
 
 
 def test_the_models_agree_about_light() -> None:
-    """Of the irradiance in the tables the last order is missing."""
+    """Of the irradiance in the tables the last order is missing; the light from below is taken for that of the ground."""
     more = TabulatedSky(small_states()[2].tables(earth()))
-    for accurate, tabulated in zip(ACCURATE.irradiance(500.0, SUN), more.irradiance(500.0, SUN), strict=True):
+    for accurate, tabulated in zip(ACCURATE.light_at(500.0, SUN), more.light_at(500.0, SUN), strict=True):
         torch.testing.assert_close(tabulated, accurate, rtol=0.13, atol=0.0)
-    assert not torch.allclose(TABULATED.irradiance(500.0, SUN)[1], ACCURATE.irradiance(500.0, SUN)[1], rtol=0.13)
+    assert not torch.allclose(TABULATED.light_at(500.0, SUN)[1], ACCURATE.light_at(500.0, SUN)[1], rtol=0.13)
 
 
 @pytest.mark.parametrize("mode", ["accurate", "parity"])
