@@ -12,6 +12,7 @@ from cloudfit.scene import Scene
 from cloudfit.sky_models import SkyModel
 from precompute.error_budget import Effort
 from precompute.scattering_orders import Progress
+from render.atmosphere.ray_geometry import distance_to_bottom_boundary, ray_intersects_ground
 from render.atmosphere.spectral_colour import convert_to_linear_srgb
 from render.camera import Camera, OrthographicCamera, PinholeCamera
 from render.errors import ParameterError
@@ -74,7 +75,8 @@ def render_in_atmosphere(
     """Render fitted parameters in an atmosphere.
 
     Of the parameters only those of the cloud matter, asymmetry, extinction and albedo: light and air are the atmosphere's. Its light
-    falls on all of the cloud as on the point in the middle of the picture, and all of the cloud is at one distance.
+    falls on all of the cloud as on the point in the middle of the picture, and all of the cloud is at one distance. The ground hides what
+    lies behind it.
 
     Args:
         scene: volume, camera and sun.
@@ -128,4 +130,9 @@ def compose_air(scene: Scene, model: SkyModel, place: CloudPlace) -> tuple[AirBe
         return rgb.reshape(camera.height, camera.width, 3).float()
 
     through = before.transmittance
-    return AirBefore(colour(through * sunlight), colour(through * ambient), colour(before.radiance)), colour(sky)
+    eye = direction.new_tensor(planet.bottom_radius + place.altitude)
+    ground = distance_to_bottom_boundary(planet, eye, direction[:, 2])
+    hidden = ray_intersects_ground(planet, eye, direction[:, 2]) & (ground < place.distance_for(camera))
+    visible = (~hidden).reshape(camera.height, camera.width).float()
+    air = AirBefore(colour(through * sunlight), colour(through * ambient), colour(before.radiance), visible)
+    return air, colour(sky)

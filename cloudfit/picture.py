@@ -25,11 +25,13 @@ class AirBefore:
         sunlight: irradiance of the cloud by the sun, dimmed by the air between cloud and camera.
         ambient: radiance of an opaque cloud in the ambient light, dimmed likewise.
         light: that the air between cloud and camera adds.
+        visible: share of a cloud that nothing nearer hides `(height, width)`, or a number [1].
     """
 
     sunlight: Tensor
     ambient: Tensor
     light: Tensor
+    visible: Tensor | float = 1.0
 
 
 class CandidateRendering:
@@ -146,10 +148,10 @@ class CandidateRendering:
             image[self.pixel] = values
             return image.unflatten(0, (camera.height, camera.width))
 
-        single = spread(self.layers.single[0])[..., None] * air.sunlight
-        multiple = spread(self.layers.multiple[0])[..., None] * air.sunlight
-        diffuse = spread(self.layers.opacity[0])[..., None] * air.ambient
-        transmittance = spread(self.layers.transmittance[0], 1.0)
+        single = (spread(self.layers.single[0]) * air.visible)[..., None] * air.sunlight
+        multiple = (spread(self.layers.multiple[0]) * air.visible)[..., None] * air.sunlight
+        diffuse = (spread(self.layers.opacity[0]) * air.visible)[..., None] * air.ambient
+        transmittance = 1.0 - (1.0 - spread(self.layers.transmittance[0], 1.0)) * air.visible
         behind = transmittance[..., None] * sky + (1.0 - transmittance[..., None]) * air.light
         return Picture(
             single + multiple + diffuse + behind,

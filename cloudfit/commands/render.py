@@ -25,7 +25,7 @@ cloudfit render results/beach --candidate 2 --sun-elevation 5 --out evening.exr
 
 cloudfit render results/beach --camera-azimuth 90 --out side.png
 
-cloudfit render results/beach --sky atmosphere --cloud-distance 8000 --sun-elevation 4 --out dusk.png
+cloudfit render results/beach --sky atmosphere --cloud-albedo 1 --sun-elevation 4 --out dusk.png
 
 An .exr holds linear light: the image, and the layers single, multiple, ambient, sky and transmittance; with --sky
 atmosphere in cd/m^2. {EXIT_CODES}"""
@@ -66,6 +66,15 @@ Altitude = Annotated[float, typer.Option(min=0, help="Of the viewer above the gr
 Aerosol = Annotated[
     float, typer.Option(min=0, help="Haze: so many times the aerosol of clear air.", rich_help_panel=AIR)
 ]
+CloudAlbedo = Annotated[
+    float | None,
+    typer.Option(
+        min=0,
+        max=1,
+        help="Of the droplets; water has 1. Without it as fitted, where it may have made up for the sunlight.",
+        rich_help_panel=AIR,
+    ),
+]
 Exposure = Annotated[float, typer.Option(help="Brighter by so many stops than automatic.", rich_help_panel=AIR)]
 TablesFolder = Annotated[
     Path | None,
@@ -75,12 +84,12 @@ TablesFolder = Annotated[
 
 @dataclass(frozen=True)
 class SkyChoice:
-    """The atmosphere as the user states it: metres and stops."""
+    """The atmosphere as the user states it: metres and shares."""
 
     cloud_distance: float | None
     altitude: float
     aerosol: float
-    exposure: float
+    albedo: float | None
     folder: Path
 
 
@@ -105,6 +114,7 @@ def render(
     cloud_distance: CloudDistance = None,
     altitude: Altitude = 2.0,
     aerosol: Aerosol = 1.0,
+    cloud_albedo: CloudAlbedo = None,
     exposure: Exposure = 0.0,
     tables: TablesFolder = None,
     quiet: o.Quiet = False,
@@ -136,7 +146,7 @@ def render(
         preset = quality.value if quality is not None else document["options"]["quality"]
         number = document["options"]["seed"] if seed is None else seed
         folder = tables if tables is not None else out.parent / TABLES_NAME
-        air = SkyChoice(cloud_distance, altitude, aerosol, exposure, folder)
+        air = SkyChoice(cloud_distance, altitude, aerosol, cloud_albedo, folder)
         with speaker.progress() as bars:
             if sky is SkyName.ATMOSPHERE:
                 picture = _render_in_atmosphere(scene, fitted, air, preset, number, bars.stage)
@@ -192,6 +202,8 @@ def _render_in_atmosphere(
     place.point(scene.camera, atmosphere.bottom_radius)  # refuses before anything takes long
     model, _ = prepare_sky("accurate", atmosphere, quality, air.folder, report)
     parameters = {name: parameter["value"] for name, parameter in fitted["parameters"].items()}
+    if air.albedo is not None:
+        parameters["albedo"] = air.albedo
     return render_in_atmosphere(scene, parameters, model, place, QUALITIES[quality].picture_effort, seed, report)
 
 

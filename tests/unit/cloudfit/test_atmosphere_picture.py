@@ -88,6 +88,19 @@ def test_the_picture_is_a_cloud_before_the_sky() -> None:
     assert 100.0 < float(luminance(picture.rgb[thick]).mean()) < 50_000.0
 
 
+def test_the_ground_hides_what_lies_behind_it() -> None:
+    """From 50 m rays that sink by one in twenty meet the ground after a kilometre."""
+    down = scene().camera.rays()[1][:, 2].reshape(36, 48) < -0.05
+    assert bool(down.any())
+    near, _ = compose_air(scene(), MODEL, CloudPlace(50.0, 900.0))
+    far, sky = compose_air(scene(), MODEL, CloudPlace(50.0, 1100.0))
+    assert bool((torch.as_tensor(far.visible)[down] == 0.0).all())
+    assert float(torch.as_tensor(near.visible)[down].mean()) > float(torch.as_tensor(far.visible)[down].mean())
+    assert bool((torch.as_tensor(far.visible)[~down] == 1.0).any())
+    picture = render_in_atmosphere(scene(), PARAMETERS, MODEL, CloudPlace(50.0, 1100.0), EFFORT)
+    torch.testing.assert_close(picture.rgb[down], sky[down])
+
+
 def test_impossible_places_are_refused() -> None:
     for altitude, distance in ((-1.0, None), (math.nan, None), (0.0, 0.0), (0.0, math.inf)):
         with pytest.raises(ParameterError):

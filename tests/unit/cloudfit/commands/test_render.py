@@ -116,6 +116,12 @@ def test_the_sky_can_be_an_atmosphere(folder: Path, asked_in_air: list[tuple[Any
     assert float(read_exr_layers(out)["single"].max()) > 1000.0, "in cd/m^2"
 
 
+def test_the_albedo_can_be_that_of_water(folder: Path, asked_in_air: list[tuple[Any, ...]]) -> None:
+    render(folder, folder.parent / "air.png", sky=SkyName.ATMOSPHERE, cloud_albedo=0.75)
+    fitted = read_result(folder)["candidates"][0]["parameters"]["albedo"]["value"]
+    assert asked_in_air[0][1]["albedo"] == 0.75 != fitted
+
+
 def test_an_atmosphere_is_exposed(folder: Path, asked_in_air: list[tuple[Any, ...]]) -> None:
     means = []
     for exposure in (0.0, -3.0):
