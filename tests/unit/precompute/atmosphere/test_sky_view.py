@@ -1,16 +1,20 @@
 """The table of a camera against the integrals along single rays."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from precompute.atmosphere.sky_view import build_sky_view
 from render.atmosphere.accurate_sky import compute_light_to_point, compute_sky_light
+from render.atmosphere.ray_geometry import safe_sqrt, sine_from_cosine
 from render.atmosphere.sky_view import horizon_angle, look_up_sky_view
 from render.camera import direction_from_angles
 from render.errors import ParameterError
+from tests.support.planets import golden
 from tests.support.skies import coarse_source
 
 SOURCE = coarse_source()
@@ -50,6 +54,27 @@ def test_it_is_that_of_single_rays(altitude: float, elevation: float, median: fl
     assert float(found.quantile(0.95)) < most
     rough = errors(altitude, elevation, (24, 12))
     assert float(rough.median()) > 3.0 * float(found.median())
+
+
+@pytest.mark.parametrize("altitude", [1.0, 1000.0, 9000.0])
+def test_light_scattered_once_is_the_exact_one(altitude: float) -> None:
+    """Converged integrals of the golden data, above and below the horizon."""
+    rows = golden("sky_radiance")
+    chosen = (rows["sun_zenith_deg"] == 60.0) & (rows["altitude_m"] == altitude)
+    cos_view, cos_sun, cos_view_sun = (torch.from_numpy(rows[name][chosen]) for name in ("mu", "mu_s", "nu"))
+    sun = torch.stack([torch.zeros(()).double(), sine_from_cosine(cos_sun[0]), cos_sun[0]])
+    ahead = (cos_view_sun - cos_view * cos_sun) / sun[1]
+    side = safe_sqrt(1.0 - cos_view.square() - ahead.square())
+    table = build_sky_view(SOURCE, altitude, sun)
+    once = table.light.clone()
+    once[..., 6:] = 0.0
+    found = look_up_sky_view(replace(table, light=once), torch.stack([side, ahead, cos_view], -1))[0].radiance
+    error = (found / torch.from_numpy(rows["L_order1_exact"][chosen]) - 1.0).abs()
+    assert len(error) > 20
+    assert float(error.median()) < 3e-4
+    assert float(error.max()) < 2e-3
+    theirs = np.abs(rows["L_order1"][chosen] / rows["L_order1_exact"][chosen] - 1.0)
+    assert float(theirs.max()) > 5.0 * float(error.max())
 
 
 def test_from_space_rays_pass_the_air_by() -> None:
