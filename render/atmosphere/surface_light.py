@@ -9,6 +9,7 @@ from torch import Tensor
 from render.atmosphere.ground_light import look_up_ground_radiance
 from render.atmosphere.ray_geometry import distance_to_bottom_boundary
 from render.atmosphere.shells import gauss_legendre
+from render.atmosphere.sky import enter_air
 from render.atmosphere.sky_view import SkyView, horizon_angle, look_up_sky_view
 from render.atmosphere.sun_columns import look_up_sunlight
 
@@ -54,11 +55,16 @@ def compute_surface_irradiance(view: SkyView, normal: Tensor) -> SurfaceLight:
     distance = distance_to_bottom_boundary(planet, torch.linalg.vector_norm(view.eye), below[:, 2])
     upright = torch.nn.functional.normalize(view.eye + distance[:, None] * below, dim=-1)
     reflected = seen.transmittance[ground] * look_up_ground_radiance(view.source, upright @ view.sun)
-    radius = torch.linalg.vector_norm(view.eye).clamp(max=planet.top_radius)
-    share = look_up_sunlight(view.source.sun_columns, view.source.shells.extinction, radius, view.sun[2])
-    solar = torch.tensor(planet.solar_irradiance, dtype=torch.float64)
-    direct = (normal @ view.sun).clamp(min=0.0)[:, None] * share * solar
+    direct = (normal @ view.sun).clamp(min=0.0)[:, None] * _sunlight(view)
     return SurfaceLight(direct, facing @ seen.radiance, facing[:, ground] @ reflected)
+
+
+def _sunlight(view: SkyView) -> Tensor:
+    """Irradiance of a surface that faces the sun `(wavelength,)` [W/m^2/nm], also of one beyond the air."""
+    planet = view.atmosphere
+    ray, _, misses = enter_air(planet, view.eye, view.sun, view.sun)
+    share = look_up_sunlight(view.source.sun_columns, view.source.shells.extinction, ray.radius, ray.cos_sun)
+    return torch.where(misses, 1.0, share) * torch.tensor(planet.solar_irradiance, dtype=torch.float64)
 
 
 def _directions(view: SkyView) -> tuple[Tensor, Tensor]:

@@ -57,3 +57,17 @@ def test_the_slope_towards_the_sun_gets_more() -> None:
     facing = compute_surface_irradiance(view, torch.stack([SUN, UP, -SUN])).sun
     torch.testing.assert_close(facing[1], facing[0] * SUN[2])
     assert float(facing[2].abs().max()) == 0.0
+
+
+def test_beyond_the_air_the_sun_sets_behind_the_planet() -> None:
+    """From 400 km the planet's edge is 19.8 degrees below the level, and the air's 18.2."""
+    solar = torch.tensor(SOURCE.atmosphere.solar_irradiance, dtype=torch.float64)
+    seen = []
+    for below in (10.0, 19.6, 21.0):
+        angle = math.radians(below)
+        sun = torch.tensor([0.0, math.cos(angle), -math.sin(angle)], dtype=torch.float64)
+        view = build_sky_view(SOURCE, 400_000.0, sun, sizes=(8, 4))
+        seen.append(compute_surface_irradiance(view, sun[None]).sun[0] / solar)
+    torch.testing.assert_close(seen[0], torch.ones(3, dtype=torch.float64))
+    assert bool(((seen[1] > 0.0) & (seen[1] < 0.99)).all())
+    assert float(seen[2].max()) == 0.0
