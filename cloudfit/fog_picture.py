@@ -117,6 +117,7 @@ def build_plain(
     sunlight: Tensor,
     medium: LayeredMedium,
     sky: Tensor | None,
+    sky_ambient: Tensor | None = None,
 ) -> Backdrop:
     """The plain with poles and ridges under a gradient sky or a given one, lit by the sun through the fog.
 
@@ -128,6 +129,7 @@ def build_plain(
         sunlight: radiance of a white surface that faces the sun above the fog `(channel,)` [1].
         medium: the fog, which dims the sun on the ground.
         sky: picture of the sky `(height, width, channel)`, or None for the gradient.
+        sky_ambient: mean radiance of the sky `(channel,)` [1]; by default that of the gradient, or of the picture.
 
     Returns:
         The scene without the fog between it and the eye.
@@ -137,8 +139,9 @@ def build_plain(
     origin = flat.new_tensor([0.0, 0.0, height]).expand_as(flat)
     found = trace_plain(origin, flat, azimuth)
     above = look_up_gradient_sky(flat, sun, sunlight) if sky is None else sky.reshape(-1, 3).to(flat)
-    ambient = mean_sky(sun, sunlight) if sky is None else above.mean(0)
-    ambient = ambient + DIFFUSE_SHARE * sun[2].clamp(min=0.0) * sunlight
+    if sky_ambient is None:
+        sky_ambient = mean_sky(sun, sunlight) if sky is None else above.mean(0)
+    ambient = sky_ambient + DIFFUSE_SHARE * sun[2].clamp(min=0.0) * sunlight
     facing = (found.normal * sun).sum(-1).clamp(min=0.0)
     points = found.height.clamp(min=0.0)
     lit = torch.exp(-depth_to_sun(medium, points, sun)) * facing

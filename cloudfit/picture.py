@@ -1,6 +1,7 @@
 """A candidate rendered by itself: all effort on one asymmetry and one extinction, at full size."""
 
 import time
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -14,6 +15,23 @@ from precompute.error_budget import Effort
 from precompute.scattering_orders import Progress, build_scattering_stack
 from render.cloud_image import Lighting, compose_cloud
 from render.scattering_stack import CloudLayers, ScatteringStack
+
+
+@dataclass(frozen=True, eq=False)
+class AirBefore:
+    """What the air makes of the light of a cloud; each `(channel,)` or `(height, width, channel)`.
+
+    Args:
+        sunlight: irradiance of the cloud by the sun, dimmed by the air between cloud and camera.
+        ambient: radiance of an opaque cloud in the ambient light, dimmed likewise.
+        light: that the air between cloud and camera adds.
+        visible: share of a cloud that nothing nearer hides `(height, width)`, or a number [1].
+    """
+
+    sunlight: Tensor
+    ambient: Tensor
+    light: Tensor
+    visible: Tensor | float = 1.0
 
 
 class CandidateRendering:
@@ -112,21 +130,29 @@ class CandidateRendering:
 
     def picture(self, lighting: Lighting, sky: Tensor, air_depth: Tensor) -> Picture:
         """The picture with its layers; `air_depth` `(channel,)`."""
-        camera = self.scene.camera
         share = torch.exp(-air_depth.to(torch.float32))
-        colours = lighting.sunlight_colour * lighting.sunlight_intensity
+        sunlight = lighting.sunlight_colour * lighting.sunlight_intensity
         ambient = lighting.ambient_colour.reshape(3) * lighting.ambient
+        return self.picture_in_air(AirBefore(share * sunlight, share * ambient, (1.0 - share) * sky), sky)
+
+    def picture_in_air(self, air: AirBefore, sky: Tensor) -> Picture:
+        """The picture with its layers through any air; sky `(height, width, channel)`.
+
+        The sky holds the light of the air all along its rays, so in front of it only the share that the cloud hides is added:
+        image = sunlit + ambient + (1 - T) air + T sky.
+        """
+        camera = self.scene.camera
 
         def spread(values: Tensor, fill: float = 0.0) -> Tensor:
-            image = torch.full((camera.height * camera.width, *values.shape[1:]), fill)
+            image = torch.full((camera.height * camera.width,), fill)
             image[self.pixel] = values
             return image.unflatten(0, (camera.height, camera.width))
 
-        single = spread(self.layers.single[0, :, None] * colours * share)
-        multiple = spread(self.layers.multiple[0, :, None] * colours * share)
-        diffuse = spread(self.layers.opacity[0, :, None] * ambient * share)
-        transmittance = spread(self.layers.transmittance[0], 1.0)
-        behind = sky * (share * transmittance[..., None] + (1.0 - share))
+        single = (spread(self.layers.single[0]) * air.visible)[..., None] * air.sunlight
+        multiple = (spread(self.layers.multiple[0]) * air.visible)[..., None] * air.sunlight
+        diffuse = (spread(self.layers.opacity[0]) * air.visible)[..., None] * air.ambient
+        transmittance = 1.0 - (1.0 - spread(self.layers.transmittance[0], 1.0)) * air.visible
+        behind = transmittance[..., None] * sky + (1.0 - transmittance[..., None]) * air.light
         return Picture(
             single + multiple + diffuse + behind,
             single,

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from cloudfit.fog_picture import FoggyPicture
+    from cloudfit.sky_models import SkyModel
 
 EPILOG = """Examples:
 
@@ -25,6 +26,8 @@ cloudfit fog --medium linear --visibility 150 --fog-height 40 --eye-height 60 --
 bank.exr
 
 cloudfit fog --sheet --medium exponential --visibility 2000 --fog-height 150 --out densities.png
+
+cloudfit fog --atmosphere --sun-elevation 4 --out evening.png
 
 cloudfit fog --image street.jpg --depth street.exr --visibility 200 --eye-height 2 --out foggy.png
 
@@ -108,6 +111,14 @@ DepthMeaning = Annotated[
 Sky = Annotated[
     Path | None, typer.Option(help="Picture behind the plain instead of a clear sky.", rich_help_panel=PICTURE)
 ]
+Atmosphere = Annotated[
+    bool,
+    typer.Option(
+        "--atmosphere",
+        help="Put the clear atmosphere of the Earth behind the plain, and take its light; its tables are kept in .tables beside --out.",
+        rich_help_panel=PICTURE,
+    ),
+]
 Out = Annotated[
     list[Path] | None,
     typer.Option(
@@ -148,6 +159,7 @@ def fog(
     depth: Depth = None,
     depth_kind: DepthMeaning = DepthKind.DISTANCE,
     sky: Sky = None,
+    atmosphere: Atmosphere = False,
     sheet: Sheet = False,
     quiet: o.Quiet = False,
     json: o.AsJson = False,
@@ -179,23 +191,31 @@ def fog(
     with reported_errors(speaker):
         from cloudfit.batch import available_cores, limit_threads
 
-        check_files(files, image, depth, sky)
+        check_files(files, image, depth, sky, atmosphere, sun_colour)
         limit_threads(available_cores())
         started = time.perf_counter()
         factors = SHEET_FACTORS if sheet else (1.0,)
         with speaker.progress() as bars:
             pictures = []
+            air = prepare_air(files[0].parent, bars.stage) if atmosphere else None
             for number, factor in enumerate(factors):
                 bars.stage("fog", number / len(factors))
                 if image is not None and depth is not None:
                     pictures.append(fog_over_photograph(choice, factor, image, depth, depth_kind))
                 else:
-                    pictures.append(fog_over_plain(choice, factor, (camera_width, camera_height), sky))
+                    pictures.append(fog_over_plain(choice, factor, (camera_width, camera_height), sky, air))
         write_pictures(files, pictures, exposure)
         tell_fog(choice, factors, files, time.perf_counter() - started, speaker, json)
 
 
-def check_files(files: list[Path], image: Path | None, depth: Path | None, sky: Path | None) -> None:
+def check_files(
+    files: list[Path],
+    image: Path | None,
+    depth: Path | None,
+    sky: Path | None,
+    atmosphere: bool = False,
+    sun_colour: str | None = None,
+) -> None:
     """Raise ParameterError for names of other kinds, or pictures that do not go together."""
     from render.errors import ParameterError
 
@@ -206,10 +226,25 @@ def check_files(files: list[Path], image: Path | None, depth: Path | None, sky: 
         raise ParameterError("--image and --depth go together: fog needs to know how far away everything is")
     if image is not None and sky is not None:
         raise ParameterError("--sky is the sky of the plain; a picture given by --image has one of its own")
+    if atmosphere and not (image is None and sky is None and sun_colour is None):
+        raise ParameterError(
+            "--atmosphere is the sky and the sun of the plain; leave --image, --sky and --sun-colour out"
+        )
 
 
-def fog_over_plain(choice: FogChoice, factor: float, size: tuple[int, int], sky: Path | None) -> "FoggyPicture":
-    """The plain through fog of a multiple of the visibility.
+def prepare_air(folder: Path, on_progress: Any) -> "SkyModel":
+    """The clear atmosphere of the Earth, its tables in a folder beside the picture."""
+    from cloudfit.batch import TABLES_NAME
+    from cloudfit.sky_models import WAVELENGTHS, prepare_sky
+    from render.atmosphere.earth import earth
+
+    return prepare_sky("accurate", earth(WAVELENGTHS), "standard", folder / TABLES_NAME, on_progress)[0]
+
+
+def fog_over_plain(
+    choice: FogChoice, factor: float, size: tuple[int, int], sky: Path | None, air: "SkyModel | None" = None
+) -> "FoggyPicture":
+    """The plain through fog of a multiple of the visibility, under a picture of a sky, an atmosphere or a gradient.
 
     Raises:
         ParameterError, CameraError: numbers without meaning.
@@ -227,10 +262,15 @@ def fog_over_plain(choice: FogChoice, factor: float, size: tuple[int, int], sky:
         behind = torch.from_numpy(
             cv2.resize(read_image(sky).pixels.numpy(), (width, height), interpolation=cv2.INTER_AREA)
         )
-    medium, (sun, sunlight) = choice.build_medium(factor), choice.sun()
+    medium, (sun, sunlight), around = choice.build_medium(factor), choice.sun(), None
     directions = choice.directions(width, height)
+    if air is not None:
+        from cloudfit.fog_sky import compose_fog_sky
+
+        above = compose_fog_sky(air, choice.eye_height, directions, sun)
+        behind, sunlight, around = above.radiance, choice.sun_intensity * above.sunlight, above.ambient
     azimuth = radians_from_degrees(choice.camera_azimuth)
-    backdrop = build_plain(directions, choice.eye_height, azimuth, sun, sunlight, medium, behind)
+    backdrop = build_plain(directions, choice.eye_height, azimuth, sun, sunlight, medium, behind, around)
     light = choice.light(sun, sunlight, backdrop.ambient)
     return put_fog(backdrop, medium, choice.eye_height, directions, light).reduced(SUPERSAMPLING)
 

@@ -1,6 +1,7 @@
 """`cloudfit render`: a fitted result at any size, from any side, under any sun."""
 
-from dataclasses import replace
+import enum
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +12,8 @@ from cloudfit.commands.console import EXIT_CODES, Speaker, print_json, reported_
 from render.units import radians_from_degrees
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from cloudfit.fit_types import Picture
     from cloudfit.scene import Scene
 
@@ -22,7 +25,10 @@ cloudfit render results/beach --candidate 2 --sun-elevation 5 --out evening.exr
 
 cloudfit render results/beach --camera-azimuth 90 --out side.png
 
-An .exr holds linear light: the image, and the layers single, multiple, ambient, sky and transmittance. {EXIT_CODES}"""
+cloudfit render results/beach --sky atmosphere --cloud-albedo 1 --sun-elevation 4 --out dusk.png
+
+An .exr holds linear light: the image, and the layers single, multiple, ambient, sky and transmittance; with --sky
+atmosphere in cd/m^2. {EXIT_CODES}"""
 
 ResultFile = Annotated[Path, typer.Argument(help="A result.json, or the folder that holds it.", show_default=False)]
 Picked = Annotated[int, typer.Option(min=1, help="Rank of the answer.")]
@@ -37,6 +43,54 @@ Distance = Annotated[
 ]
 OtherQuality = Annotated[o.QualityName | None, typer.Option(help="Effort; without it as fitted.")]
 OtherSeed = Annotated[int | None, typer.Option(min=0, help="Of the random streams; without it as fitted.")]
+
+
+class SkyName(enum.StrEnum):
+    """What stands behind the cloud, lights it and lies in front of it."""
+
+    PHOTOGRAPH = "photograph"
+    ATMOSPHERE = "atmosphere"
+
+
+AIR = "With --sky atmosphere"
+Sky = Annotated[
+    SkyName, typer.Option(help="The photograph's sky, light and haze, or those of the clear atmosphere of the Earth.")
+]
+CloudDistance = Annotated[
+    float | None,
+    typer.Option(
+        help="Of the cloud from the viewer, in metres. Without it as far as the camera is from it.", rich_help_panel=AIR
+    ),
+]
+Altitude = Annotated[float, typer.Option(min=0, help="Of the viewer above the ground, in metres.", rich_help_panel=AIR)]
+Aerosol = Annotated[
+    float, typer.Option(min=0, help="Haze: so many times the aerosol of clear air.", rich_help_panel=AIR)
+]
+CloudAlbedo = Annotated[
+    float | None,
+    typer.Option(
+        min=0,
+        max=1,
+        help="Of the droplets; water has 1. Without it as fitted, where it may have made up for the sunlight.",
+        rich_help_panel=AIR,
+    ),
+]
+Exposure = Annotated[float, typer.Option(help="Brighter by so many stops than automatic.", rich_help_panel=AIR)]
+TablesFolder = Annotated[
+    Path | None,
+    typer.Option(help="Folder of the sky's tables. Without it .tables beside the picture.", rich_help_panel=AIR),
+]
+
+
+@dataclass(frozen=True)
+class SkyChoice:
+    """The atmosphere as the user states it: metres and shares."""
+
+    cloud_distance: float | None
+    altitude: float
+    aerosol: float
+    albedo: float | None
+    folder: Path
 
 
 def render(
@@ -56,13 +110,20 @@ def render(
     camera_distance: Distance = None,
     quality: OtherQuality = None,
     seed: OtherSeed = None,
+    sky: Sky = SkyName.PHOTOGRAPH,
+    cloud_distance: CloudDistance = None,
+    altitude: Altitude = 2.0,
+    aerosol: Aerosol = 1.0,
+    cloud_albedo: CloudAlbedo = None,
+    exposure: Exposure = 0.0,
+    tables: TablesFolder = None,
     quiet: o.Quiet = False,
     json: o.AsJson = False,
 ) -> None:
     """Render a fitted result again, at any size, from any side and under any sun."""
     speaker = Speaker(quiet)
     with reported_errors(speaker):
-        from cloudfit.batch import available_cores, limit_threads
+        from cloudfit.batch import TABLES_NAME, available_cores, limit_threads
         from cloudfit.result import read_result
         from cloudfit.scene_record import scene_from_record, turn_camera
 
@@ -83,18 +144,16 @@ def render(
             sun_elevation=scene.sun_elevation if sun_elevation is None else radians_from_degrees(sun_elevation),
         )
         preset = quality.value if quality is not None else document["options"]["quality"]
+        number = document["options"]["seed"] if seed is None else seed
+        folder = tables if tables is not None else out.parent / TABLES_NAME
+        air = SkyChoice(cloud_distance, altitude, aerosol, cloud_albedo, folder)
         with speaker.progress() as bars:
-            folder = result if result.is_dir() else result.parent
-            picture = _render(
-                scene,
-                document,
-                fitted,
-                folder,
-                preset,
-                document["options"]["seed"] if seed is None else seed,
-                bars.stage,
-            )
-        write_picture(out, picture)
+            if sky is SkyName.ATMOSPHERE:
+                picture = _render_in_atmosphere(scene, fitted, air, preset, number, bars.stage)
+            else:
+                home = result if result.is_dir() else result.parent
+                picture = _render(scene, document, fitted, home, preset, number, bars.stage)
+        write_picture(out, picture, exposure if sky is SkyName.ATMOSPHERE else None)
         speaker.say(f"rendered in {picture.seconds:.1f} s, estimated noise {picture.image_error:.1%}")
         if json:
             print_json({"schema": "cloudfit picture 1", "file": str(out), "seconds": picture.seconds})
@@ -102,8 +161,17 @@ def render(
             print(out)
 
 
-def write_picture(path: Path, picture: "Picture") -> None:
-    """Write a picture as PNG, or as EXR with its layers. Raises ParameterError for another suffix."""
+def write_picture(path: Path, picture: "Picture", exposure: float | None = None) -> None:
+    """Write a picture as PNG, or as EXR with its layers.
+
+    Args:
+        path: of the file.
+        picture: relative to display white, or in cd/m^2.
+        exposure: of a picture in cd/m^2, in stops over automatic; None for one that needs none.
+
+    Raises:
+        ParameterError: for another suffix.
+    """
     from cloudfit.result_folder import picture_layers
     from render.image_files import write_exr, write_png
 
@@ -111,7 +179,41 @@ def write_picture(path: Path, picture: "Picture") -> None:
     if path.suffix.lower() == ".exr":
         write_exr(path, picture_layers(picture))
     else:
-        write_png(path, picture.rgb)
+        write_png(path, picture.rgb if exposure is None else _exposed(picture.rgb, exposure))
+
+
+def _exposed(rgb: "Tensor", exposure: float) -> "Tensor":
+    from render.atmosphere.sky_image import choose_white, show_sky
+
+    return show_sky(rgb, choose_white(rgb), exposure)
+
+
+def _render_in_atmosphere(
+    scene: "Scene", fitted: dict[str, Any], air: SkyChoice, preset: str, seed: int, report: Any
+) -> "Picture":
+    from cloudfit.atmosphere_picture import CloudPlace, render_in_atmosphere
+    from cloudfit.quality import QUALITIES
+    from cloudfit.sky_models import WAVELENGTHS, prepare_sky
+    from render.atmosphere.earth import earth
+
+    quality = _find_quality(preset)
+    place = CloudPlace(air.altitude, air.cloud_distance)
+    atmosphere = earth(WAVELENGTHS).with_aerosol(air.aerosol)
+    place.point(scene.camera, atmosphere.bottom_radius)  # refuses before anything takes long
+    model, _ = prepare_sky("accurate", atmosphere, quality, air.folder, report)
+    parameters = {name: parameter["value"] for name, parameter in fitted["parameters"].items()}
+    if air.albedo is not None:
+        parameters["albedo"] = air.albedo
+    return render_in_atmosphere(scene, parameters, model, place, QUALITIES[quality].picture_effort, seed, report)
+
+
+def _find_quality(preset: str) -> str:
+    from cloudfit.quality import QUALITIES
+    from render.errors import ResultError
+
+    if preset not in QUALITIES:
+        raise ResultError("the result was fitted with a quality of its own; choose one with --quality")
+    return preset
 
 
 def _render(
@@ -121,11 +223,9 @@ def _render(
 
     from cloudfit.picture import render_picture
     from cloudfit.quality import QUALITIES
-    from render.errors import ResultError
     from render.image_files import read_exr_layers
 
-    if preset not in QUALITIES:
-        raise ResultError(f"{folder}: it was fitted with a quality of its own; choose one with --quality")
+    quality = QUALITIES[_find_quality(preset)]
     sky = read_exr_layers(folder / document["files"].get("sky_linear", "sky.exr"))["rgb"]
     red, green, blue = fitted["air_depth"]
     return render_picture(
@@ -135,7 +235,7 @@ def _render(
         torch.tensor(document["sunlight"]["colour"]),
         torch.tensor(fitted["ambient_colour"]),
         sky,
-        QUALITIES[preset].picture_effort,
+        quality.picture_effort,
         seed,
         report,
     )

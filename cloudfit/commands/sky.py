@@ -1,5 +1,6 @@
 """`cloudfit sky`: the clear sky from any altitude, under any sun."""
 
+import enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,8 +13,7 @@ from render.units import radians_from_degrees
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from precompute.atmosphere_tables import TablePlan
-    from render.atmosphere.tables import AtmosphereTables
+    from cloudfit.sky_models import SkyModel
 
 EPILOG = f"""Examples:
 
@@ -25,7 +25,16 @@ cloudfit sky --panorama --width 1024 --aerosol 5 --out hazy.png
 
 cloudfit sky --sweep-sun 12 --width 240 --height 160 --out day.png
 
-The tables are built once for each amount of aerosol, in a minute or two, and kept. An .exr holds linear sRGB in cd/m^2. {EXIT_CODES}"""
+The tables are built once for each amount of aerosol, in half a minute (--mode parity: a minute or two), and kept. An
+.exr holds linear sRGB in cd/m^2. {EXIT_CODES}"""
+
+
+class SkyMode(enum.StrEnum):
+    """Models of the sky; the same names as in `cloudfit.sky_models.SKY_MODES`."""
+
+    ACCURATE = "accurate"
+    PARITY = "parity"
+
 
 PictureFile = Annotated[Path, typer.Option(help="Picture to write, .png or .exr.", rich_help_panel=o.RUN)]
 Altitude = Annotated[
@@ -63,15 +72,18 @@ SweepSun = Annotated[
 ]
 Wide = Annotated[int, typer.Option("--width", min=1, help="Pixels in a row.", rich_help_panel=o.CAMERA)]
 High = Annotated[int, typer.Option("--height", min=1, help="Rows.", rich_help_panel=o.CAMERA)]
+Mode = Annotated[
+    SkyMode,
+    typer.Option(
+        help="Integrals to a stated tolerance, or the numbers of Bruneton's reference.", rich_help_panel=o.SEARCH
+    ),
+]
 TablesFolder = Annotated[
     Path | None,
     typer.Option(help="Folder of the tables. Without it .tables beside the picture.", rich_help_panel=o.RUN),
 ]
 
 SWEEP_HIGHEST, SWEEP_LOWEST = 60.0, -12.0
-
-WAVELENGTHS = tuple(1e-9 * value for value in range(400, 701, 50))
-"""Seven are needed for the colours of dusk: three miss most of what ozone absorbs, and make it purple [m]."""
 
 
 def sky(
@@ -90,6 +102,7 @@ def sky(
     white: White = None,
     panorama: Panorama = False,
     sweep_sun: SweepSun = None,
+    mode: Mode = SkyMode.ACCURATE,
     quality: o.Quality = o.QualityName.STANDARD,
     tables: TablesFolder = None,
     quiet: o.Quiet = False,
@@ -97,9 +110,11 @@ def sky(
 ) -> None:
     """Picture the clear sky, with ground and sun, from the ground to space."""
     speaker = Speaker(quiet)
-    with reported_errors(speaker, "run the same command again; finished orders of scattering are kept"):
+    with reported_errors(
+        speaker, "run the same command again; in the mode parity finished orders of scattering are kept"
+    ):
         from cloudfit.batch import TABLES_NAME, available_cores, limit_threads
-        from precompute.atmosphere_store import prepare_atmosphere_tables
+        from cloudfit.sky_models import WAVELENGTHS, prepare_sky
         from render.atmosphere.earth import earth
 
         _check_suffix(out)
@@ -109,10 +124,10 @@ def sky(
         folder = tables if tables is not None else out.parent / TABLES_NAME
         atmosphere = earth(WAVELENGTHS, ground_albedo=ground_albedo).with_aerosol(aerosol)
         with speaker.progress() as bars:
-            filled, report = prepare_atmosphere_tables(atmosphere, _plan(quality), folder, bars.stage)
+            model, report = prepare_sky(mode.value, atmosphere, quality.value, folder, bars.stage)
         speaker.say(f"tables {'loaded' if report.reused else 'built'} in {report.seconds:.1f} s")
         elevations = [sun_elevation] if sweep_sun is None else _sweep(sweep_sun)
-        pictures = [_picture(filled, altitude, directions, sun_azimuth, e, height) for e in elevations]
+        pictures = [_picture(model, altitude, directions, sun_azimuth, e, height) for e in elevations]
         whites = (
             [_write_sky(out, pictures, white, exposure)]
             if sweep_sun is None
@@ -122,25 +137,13 @@ def sky(
             document = {
                 "schema": "cloudfit sky 1",
                 "file": str(out),
+                "mode": mode.value,
                 "tables": str(report.path),
                 "reused": report.reused,
             }
             print_json({**document, "sun_elevation_deg": elevations, "white_cd_m2": whites})
         else:
             print(out)
-
-
-def _plan(quality: o.QualityName) -> "TablePlan":
-    """What is built for a quality."""
-    from precompute.atmosphere_tables import TablePlan
-    from render.atmosphere.tables import TableSizes
-
-    plans = {
-        o.QualityName.DRAFT: TablePlan(sizes=TableSizes(32, 128, 8, 32, 16, 64, 8, 24), orders=3),
-        o.QualityName.STANDARD: TablePlan(),
-        o.QualityName.REFERENCE: TablePlan(orders=8),
-    }
-    return plans[quality]
 
 
 def _sweep(count: int) -> list[float]:
@@ -166,17 +169,17 @@ def _directions(
 
 
 def _picture(
-    tables: "AtmosphereTables", altitude: float, directions: "Tensor", azimuth: float, elevation: float, height: int
+    model: "SkyModel", altitude: float, directions: "Tensor", azimuth: float, elevation: float, height: int
 ) -> "Tensor":
     """Linear sRGB `(height, width, 3)` [cd/m^2]."""
     import torch
 
-    from render.atmosphere.sky_image import colour_sky, compose_sky
+    from render.atmosphere.sky_image import colour_sky
     from render.camera import direction_from_angles
 
     sun = direction_from_angles(radians_from_degrees(azimuth), radians_from_degrees(elevation))
-    radiance = compose_sky(tables, altitude, directions, torch.tensor(sun, dtype=torch.float64))
-    return colour_sky(tables, radiance).reshape(height, -1, 3)
+    radiance = model.compose(altitude, directions, torch.tensor(sun, dtype=torch.float64))
+    return colour_sky(model.atmosphere, radiance).reshape(height, -1, 3)
 
 
 def _write_sky(out: Path, pictures: list["Tensor"], white: float | None, exposure: float) -> float:

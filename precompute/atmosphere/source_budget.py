@@ -121,8 +121,8 @@ def sizes_for(atmosphere: AtmosphereParameters, tolerance: float) -> SourceSizes
     asymmetry = atmosphere.mie_asymmetry
     chi = compute_phase_moments(lambda c: evaluate_cornette_shanks(c, asymmetry), LARGEST_DEGREE)
     share = (2.0 * torch.arange(LARGEST_DEGREE + 1) + 1.0) * chi.square()
-    needed = int((share > 0.1 * tolerance * share.sum()).nonzero().max()) if float(chi[1].abs()) > 0.0 else 2
-    degree = max(needed, 2)
+    needed = (share > 0.1 * tolerance * share.sum()).nonzero()
+    degree = max(int(needed.max()) if len(needed) else 0, 2)
     return replace(SourceSizes(), degree=degree, turns=max(SourceSizes().turns, math.ceil(0.8 * degree)))
 
 

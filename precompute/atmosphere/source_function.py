@@ -20,9 +20,10 @@ from torch import Tensor
 from precompute.in_threads import map_in_threads
 from render.atmosphere.accurate_sky import integrate_single_scattering
 from render.atmosphere.air_ray import AirRay
+from render.atmosphere.ground_light import look_up_ground_sunlight
 from render.atmosphere.ray_geometry import clamp_cosine, distance_to_nearest_boundary, horizon_cosine, sine_from_cosine
 from render.atmosphere.ray_quadrature import RayNodes, place_nodes
-from render.atmosphere.shells import Shells, gauss_legendre, mean_incidence
+from render.atmosphere.shells import Shells, gauss_legendre
 from render.atmosphere.source_function import (
     altitude_nodes,
     angle_nodes,
@@ -36,7 +37,7 @@ from render.atmosphere.spherical_harmonics import (
     degrees_of_harmonics,
     evaluate_even_harmonics,
 )
-from render.atmosphere.sun_columns import SunColumns, look_up_sun_columns
+from render.atmosphere.sun_columns import SunColumns
 from render.cornette_shanks import evaluate_cornette_shanks
 from render.errors import ParameterError
 from render.rayleigh_phase import evaluate_rayleigh_phase
@@ -242,21 +243,12 @@ def _ground_light(gatherer: _Gatherer, grid: _Grid, before: OrderOfLight | None)
     below = AirRay(*(value[:down] if len(value) > 1 else value for value in grid.rays.tensors()))
     cos_sun = below.at(planet, grid.length[:down, None, None]).cos_sun
     if before is None:
-        irradiance = _direct_irradiance(gatherer, cos_sun)
+        irradiance = look_up_ground_sunlight(gatherer.shells, gatherer.sun_columns, cos_sun)
     else:
         irradiance = look_up_ground_sky_irradiance(before.sky_irradiance, cos_sun)
     through = grid.nodes.transmittance_to_end[:down, None, None]
     light = albedo / math.pi * through * irradiance
     return torch.cat([light, torch.zeros_like(light)])
-
-
-def _direct_irradiance(gatherer: _Gatherer, cos_sun: Tensor) -> Tensor:
-    """Irradiance of level ground by the sun itself `(..., wavelength)` [W/m^2/nm]."""
-    planet = gatherer.shells.atmosphere
-    ground = torch.full_like(cos_sun, planet.bottom_radius)
-    columns = look_up_sun_columns(gatherer.sun_columns, ground, cos_sun.clamp(min=0.0))
-    solar = torch.tensor(planet.solar_irradiance, dtype=torch.float64)
-    return solar * torch.exp(-columns @ gatherer.shells.extinction) * mean_incidence(planet, cos_sun)[..., None]
 
 
 def _gather(gatherer: _Gatherer, grid: _Grid, radiance: Tensor) -> Tensor:

@@ -144,12 +144,27 @@ def integrate_single_scattering(shells: Shells, sun_columns: SunColumns, rays: A
     Returns:
         Radiance `(ray, wavelength)` [W/m^2/sr/nm].
     """
+    once = integrate_sunlight(shells, sun_columns, rays, nodes)
+    return (once * scattering_phases(shells.atmosphere.mie_asymmetry, rays.cos_view_sun)[..., None]).sum(-2)
+
+
+def integrate_sunlight(shells: Shells, sun_columns: SunColumns, rays: AirRay, nodes: RayNodes) -> Tensor:
+    """Light scattered once along rays, over the phase functions.
+
+    Args:
+        shells: the air.
+        sun_columns: columns towards the sun.
+        rays: `(ray,)`.
+        nodes: along them.
+
+    Returns:
+        By molecules and aerosols `(ray, 2, wavelength)` [W/m^2/nm].
+    """
     planet = shells.atmosphere
     there = rays.unsqueeze().at(planet, nodes.distance)
     light = look_up_sunlight(sun_columns, shells.extinction, there.radius, there.cos_sun)
     scattered = torch.einsum("rnsw,rnw->rsw", nodes.scattering_weights(shells), light)
-    solar = torch.tensor(planet.solar_irradiance, dtype=light.dtype, device=light.device)
-    return (scattered * scattering_phases(planet.mie_asymmetry, rays.cos_view_sun)[..., None]).sum(-2) * solar
+    return scattered * torch.tensor(planet.solar_irradiance, dtype=light.dtype, device=light.device)
 
 
 def integrate_source(shells: Shells, source: Tensor, rays: AirRay, nodes: RayNodes) -> Tensor:

@@ -8,9 +8,11 @@ import math
 import torch
 from torch import Tensor
 
-from render.atmosphere.parameters import spectrum_tensor
+from render.atmosphere.ground_light import look_up_ground_radiance
+from render.atmosphere.parameters import AtmosphereParameters, spectrum_tensor
 from render.atmosphere.ray_geometry import distance_to_bottom_boundary, ray_intersects_ground
 from render.atmosphere.sky import look_up_sky_radiance, look_up_surface_irradiance, solar_radiance
+from render.atmosphere.sky_view import SkyView, check_altitude, look_up_sky_view
 from render.atmosphere.spectral_colour import convert_to_linear_srgb
 from render.atmosphere.tables import AtmosphereTables
 from render.atmosphere.transmittance import look_up_transmittance
@@ -36,15 +38,45 @@ def compose_sky(tables: AtmosphereTables, altitude: float, direction: Tensor, su
     Raises:
         ParameterError: if the altitude is negative or not finite, or the directions are none.
     """
-    if not (math.isfinite(altitude) and altitude >= 0.0):
-        raise ParameterError(f"the camera must stand on the ground or above it, not at {altitude} m")
+    check_altitude(altitude)
     atmosphere = tables.atmosphere
     direction, sun = (torch.nn.functional.normalize(value.double(), dim=-1) for value in (direction, sun))
     eye = direction.new_tensor([0.0, 0.0, atmosphere.bottom_radius + altitude])
     seen = look_up_sky_radiance(tables, eye, direction, sun)
+    return (
+        seen.radiance
+        + _disc_radiance(atmosphere, direction, sun, seen.transmittance)
+        + _ground_radiance(tables, eye, direction, sun)
+    )
+
+
+def compose_sky_view(view: SkyView, direction: Tensor) -> Tensor:
+    """Radiance that arrives at a camera, as by `compose_sky`, from what it sees of the air.
+
+    Args:
+        view: of the camera, under its sun.
+        direction: unit vectors of the rays `(ray, 3)`.
+
+    Returns:
+        Radiance `(ray, wavelength)` [W/m^2/sr/nm].
+    """
+    planet = view.atmosphere
+    direction = torch.nn.functional.normalize(direction.double(), dim=-1)
+    seen, ground = look_up_sky_view(view, direction)
+    clear = torch.where(ground[:, None], 0.0, seen.transmittance)
+    radiance = seen.radiance + _disc_radiance(planet, direction, view.sun, clear)
+    if bool(ground.any()):
+        down = direction[ground]
+        distance = distance_to_bottom_boundary(planet, torch.linalg.vector_norm(view.eye), down[:, 2])
+        normal = torch.nn.functional.normalize(view.eye + distance[:, None] * down, dim=-1)
+        radiance[ground] += seen.transmittance[ground] * look_up_ground_radiance(view.source, normal @ view.sun)
+    return radiance
+
+
+def _disc_radiance(atmosphere: AtmosphereParameters, direction: Tensor, sun: Tensor, transmittance: Tensor) -> Tensor:
+    """Light of the sun's disc that reaches the eye `(ray, wavelength)` [W/m^2/sr/nm], zero beside it."""
     disc = (direction @ sun >= math.cos(atmosphere.sun_angular_radius))[:, None]
-    sunlight = torch.where(disc, seen.transmittance * solar_radiance(atmosphere).to(seen.radiance), 0.0)
-    return seen.radiance + sunlight + _ground_radiance(tables, eye, direction, sun)
+    return torch.where(disc, transmittance * solar_radiance(atmosphere).to(transmittance), 0.0)
 
 
 def _ground_radiance(tables: AtmosphereTables, eye: Tensor, direction: Tensor, sun: Tensor) -> Tensor:
@@ -80,9 +112,9 @@ def panorama_directions(width: int, height: int) -> Tensor:
     return torch.stack(parts, -1).reshape(-1, 3)
 
 
-def colour_sky(tables: AtmosphereTables, radiance: Tensor) -> Tensor:
+def colour_sky(atmosphere: AtmosphereParameters, radiance: Tensor) -> Tensor:
     """Linear sRGB `(..., channel)` [cd/m^2] of radiance `(..., wavelength)` [W/m^2/sr/nm], saturated colours held at zero."""
-    return convert_to_linear_srgb(radiance, tables.atmosphere.wavelengths).clamp(min=0.0)
+    return convert_to_linear_srgb(radiance, atmosphere.wavelengths).clamp(min=0.0)
 
 
 def choose_white(rgb: Tensor) -> float:

@@ -8,9 +8,13 @@ import torch
 from typer.testing import CliRunner
 
 from cloudfit.cli import app
+from cloudfit.commands import fog
 from cloudfit.commands.fog import DepthKind, MediumName
+from cloudfit.sky_models import AccurateSky
+from precompute.atmosphere import sky_view
 from render.image_files import read_exr_layers, read_image, write_png
 from render.media import MEDIA
+from tests.support.skies import coarse_source
 
 SMALL = ["--camera-width", "32", "--camera-height", "18", "--quiet"]
 RUNNER = CliRunner(env={"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"})
@@ -49,6 +53,25 @@ def test_less_visibility_is_more_fog(tmp_path: Path) -> None:
         left.append(read_exr_layers(out)["transmittance"].mean().item())
     assert left[0] == 1.0
     assert left[0] > left[1] > left[2]
+
+
+def test_an_atmosphere_lights_the_plain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fog, "prepare_air", lambda folder, report: AccurateSky(coarse_source()))
+    monkeypatch.setattr(sky_view, "LOW", (32, 24))
+    seen = {}
+    for name, arguments in (
+        ("gradient", []),
+        ("air", ["--atmosphere"]),
+        ("dusk", ["--atmosphere", "--sun-elevation", "2"]),
+    ):
+        run(*arguments, "--visibility", "1000", "--out", tmp_path / f"{name}.exr", *SMALL)
+        seen[name] = read_exr_layers(tmp_path / f"{name}.exr")
+    assert torch.equal(seen["air"]["transmittance"], seen["gradient"]["transmittance"])
+    assert not torch.allclose(seen["air"]["rgb"], seen["gradient"]["rgb"], rtol=0.05)
+    means = {name: layers["rgb"].mean((0, 1)) for name, layers in seen.items()}
+    assert 0.3 < float(means["air"].mean() / means["gradient"].mean()) < 3.0, "the same unit"
+    assert bool((means["dusk"] < means["air"]).all())
+    assert "leave" in run("--atmosphere", "--sun-colour", "1,1,1", "--out", tmp_path / "x.png", code=3)
 
 
 def test_a_sheet_shows_three_densities(tmp_path: Path) -> None:

@@ -6,14 +6,16 @@ import pytest
 import torch
 import typer
 
+from cloudfit import atmosphere_picture, sky_models
 from cloudfit import picture as picture_module
-from cloudfit.commands.render import render, write_picture
+from cloudfit.commands.render import SkyName, render, write_picture
 from cloudfit.fit_types import Picture
 from cloudfit.photograph import read_photograph
 from cloudfit.result import read_result, write_result
 from cloudfit.result_document import Circumstances, describe_fit, describe_reason
 from cloudfit.result_folder import write_fit, write_reason
 from cloudfit.scene import Scene
+from render.atmosphere.earth import earth
 from render.camera import PinholeCamera
 from render.density_grid import DensityGrid
 from render.errors import ParameterError
@@ -82,6 +84,62 @@ def test_size_camera_and_sun_can_be_others(folder: Path, asked: list[tuple[Any, 
     assert seed == 9
     layers = read_exr_layers(folder.parent / "side.exr")
     assert layers["transmittance"].shape == (12, 16)
+
+
+@pytest.fixture
+def asked_in_air(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """What the renderer of a cloud in an atmosphere is asked for, while a stand-in answers; no tables are filled."""
+    calls: list[tuple[Any, ...]] = []
+
+    def stand_in(scene: Scene, *arguments: Any) -> Picture:
+        calls.append((scene, *arguments))
+        return make_picture(3000.0, scene.camera.width, scene.camera.height)
+
+    monkeypatch.setattr(atmosphere_picture, "render_in_atmosphere", stand_in)
+    monkeypatch.setattr(sky_models, "prepare_sky", lambda *arguments: (arguments, None))
+    return calls
+
+
+def test_the_sky_can_be_an_atmosphere(folder: Path, asked_in_air: list[tuple[Any, ...]]) -> None:
+    out = folder.parent / "air.exr"
+    render(folder, out, sky=SkyName.ATMOSPHERE, cloud_distance=8000.0, altitude=50.0, aerosol=3.0, sun_elevation=5.0)
+    scene, parameters, model, place, _, seed, _ = asked_in_air[0]
+    mode, atmosphere, quality, tables, _ = model
+    assert (mode, quality, seed) == ("accurate", read_result(folder)["options"]["quality"], 0)
+    assert atmosphere.mie_scattering[0] == pytest.approx(3.0 * earth().mie_scattering[0])
+    assert tables == folder.parent / ".tables"
+    assert (place.altitude, place.distance) == (50.0, 8000.0)
+    assert scene.sun_direction[2] == pytest.approx(0.0871557, abs=1e-6)
+    assert parameters == {
+        name: entry["value"] for name, entry in read_result(folder)["candidates"][0]["parameters"].items()
+    }
+    assert float(read_exr_layers(out)["single"].max()) > 1000.0, "in cd/m^2"
+
+
+def test_the_albedo_can_be_that_of_water(folder: Path, asked_in_air: list[tuple[Any, ...]]) -> None:
+    render(folder, folder.parent / "air.png", sky=SkyName.ATMOSPHERE, cloud_albedo=0.75)
+    fitted = read_result(folder)["candidates"][0]["parameters"]["albedo"]["value"]
+    assert asked_in_air[0][1]["albedo"] == 0.75 != fitted
+
+
+def test_an_atmosphere_is_exposed(folder: Path, asked_in_air: list[tuple[Any, ...]]) -> None:
+    means = []
+    for exposure in (0.0, -3.0):
+        out = folder.parent / "air.png"
+        render(folder, out, sky=SkyName.ATMOSPHERE, exposure=exposure)
+        means.append(float(read_image(out).pixels.mean()))
+    assert 0.2 < means[0] < 0.8
+    assert means[1] < 0.5 * means[0]
+
+
+def test_a_cloud_below_the_ground_is_refused(
+    folder: Path, asked_in_air: list[tuple[Any, ...]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(typer.Exit) as caught:
+        render(folder, folder.parent / "x.png", sky=SkyName.ATMOSPHERE, cloud_distance=5000.0, camera_elevation=-30.0)
+    assert caught.value.exit_code == 3
+    assert "below the ground" in capsys.readouterr().err
+    assert not asked_in_air
 
 
 @pytest.mark.parametrize(

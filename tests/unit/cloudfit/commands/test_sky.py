@@ -8,9 +8,11 @@ import torch
 from click.testing import Result
 from typer.testing import CliRunner
 
+from cloudfit import sky_models
 from cloudfit.cli import app
-from cloudfit.commands import sky
 from cloudfit.commands.options import QualityName
+from cloudfit.commands.sky import SkyMode
+from precompute.atmosphere import sky_view
 from precompute.atmosphere_tables import TablePlan
 from render.atmosphere.tables import TableSizes
 from render.image_files import read_exr_layers, read_image
@@ -21,11 +23,40 @@ SIZE = ["--width", "24", "--height", "16"]
 
 @pytest.fixture(autouse=True)
 def small_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sky, "_plan", lambda quality: TINY)
+    monkeypatch.setitem(sky_models.PLANS, "standard", TINY)
+    monkeypatch.setitem(sky_models.TOLERANCES, "standard", 0.5)
+    monkeypatch.setattr(sky_view, "LOW", (32, 24))
 
 
-def run(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(app, ["sky", *map(str, arguments)])
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that tests share, so that a source function is built once."""
+    return tmp_path_factory.mktemp("tables")
+
+
+def run(*arguments: str | Path, mode: str = "parity") -> Result:
+    return CliRunner().invoke(app, ["sky", "--mode", mode, *map(str, arguments)])
+
+
+def test_both_modes_see_nearly_the_same_sky(tmp_path: Path, tables: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sky_models, "WAVELENGTHS", (650e-9, 550e-9, 450e-9))
+    seen = {}
+    for mode in SkyMode:
+        out = tmp_path / f"{mode}.exr"
+        done = run("--out", out, *SIZE, "--json", "--tables", tables, mode=mode)
+        assert done.exit_code == 0, done.output
+        assert json.loads(done.stdout)["mode"] == mode
+        seen[mode] = read_exr_layers(out)["rgb"]
+    ratio = seen[SkyMode.PARITY] / seen[SkyMode.ACCURATE]
+    assert 0.8 < float(ratio.median()) < 1.2
+    assert float((ratio - 1.0).abs().max()) > 1e-3, "two models, not one"
+
+
+def test_the_accurate_sky_is_the_default(tmp_path: Path, tables: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sky_models, "WAVELENGTHS", (650e-9, 550e-9, 450e-9))
+    arguments = ["sky", "--out", str(tmp_path / "x.png"), *SIZE, "--json", "--tables", str(tables)]
+    done = CliRunner().invoke(app, arguments)
+    assert json.loads(done.stdout)["mode"] == "accurate"
 
 
 def test_a_picture_and_its_tables(tmp_path: Path) -> None:
@@ -96,7 +127,6 @@ def test_wrong_usage_and_bad_input(
     assert not list(tmp_path.glob("sky.*"))
 
 
-def test_each_quality_has_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.undo()
-    plans = [sky._plan(quality) for quality in QualityName]
-    assert [plan.orders for plan in plans] == [3, 4, 8]
+def test_each_quality_and_mode_is_known() -> None:
+    assert list(sky_models.PLANS) == list(sky_models.TOLERANCES) == [quality.value for quality in QualityName]
+    assert list(sky_models.SKY_MODES) == [mode.value for mode in SkyMode]

@@ -1,6 +1,7 @@
 """The Earth preset: the parameters of the reference, at its wavelengths and between them."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -36,6 +37,19 @@ def test_the_default_is_the_planet_of_the_reference() -> None:
     assert earth().absorption_density.boundaries == (25_000.0,)
     assert tuple(expected["solar_irradiance_table_360_830_step10"]) == SOLAR_IRRADIANCE
     assert tuple(expected["ozone_cross_section_table_m2_360_830_step10"]) == OZONE_CROSS_SECTION
+
+
+def test_where_the_scattering_of_molecules_is_from() -> None:
+    """The formula that the constant's comment names, and the table that it does not agree with (Penndorf 1957, table 3)."""
+    index, molecules, depolarisation = 1.0003, 2.545e25, 0.035
+    king = (6.0 + 3.0 * depolarisation) / (6.0 - 7.0 * depolarisation)
+    strength = 8.0 * math.pi**3 * (index**2 - 1.0) ** 2 / (3.0 * molecules) * king
+    wavelengths = np.array([440e-9, 550e-9, 680e-9])
+    ours = np.array(earth(tuple(wavelengths)).rayleigh_scattering)
+    np.testing.assert_allclose(ours, strength / wavelengths**4, rtol=5e-4)
+    assert not np.allclose(ours, strength / king / wavelengths**4, rtol=0.05)
+    measured = ours / np.array([30.60e-6, 12.26e-6, 5.178e-6])
+    assert bool(((measured > 1.08) & (measured < 1.125)).all())
 
 
 def test_any_wavelengths_in_any_order() -> None:

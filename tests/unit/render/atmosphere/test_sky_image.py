@@ -61,7 +61,7 @@ def test_all_around() -> None:
 
 def test_noon_is_blue_and_what_is_shown_fits_the_display() -> None:
     view = panorama_directions(16, 8)
-    rgb = colour_sky(TABLES, compose_sky(TABLES, 0.0, view, tilted(0.3)))
+    rgb = colour_sky(earth(), compose_sky(TABLES, 0.0, view, tilted(0.3)))
     sky = rgb.reshape(8, 16, 3)[2]
     assert bool((sky[:, 2] > sky[:, 0]).all())
     white = choose_white(rgb)

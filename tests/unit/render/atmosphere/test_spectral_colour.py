@@ -28,6 +28,15 @@ def test_colour_matching_functions_have_the_integrals_of_the_standard() -> None:
     assert SAMPLED_WAVELENGTHS[int(x.argmax())] == 600.0
 
 
+def test_an_equal_energy_spectrum_is_neutral() -> None:
+    """The functions are normalised so: x = y = z = 1/3. In steps of 10 nm that is kept to 4e-4."""
+    x, y, z = np.array(COLOUR_MATCHING).sum(0)
+    np.testing.assert_allclose([x / y, z / y], [1.0, 1.0], rtol=1e-3)
+    rows = dict(zip(SAMPLED_WAVELENGTHS, COLOUR_MATCHING, strict=True))
+    assert rows[550.0] == (0.4334499, 0.9949501, 0.008749999)
+    assert rows[780.0] == (4.150994e-05, 1.499e-05, 0.0)
+
+
 def test_the_sun_has_its_illuminance_and_colour() -> None:
     """Above the air: about 134 klx, and a chromaticity near (0.323, 0.333), a black body of 5900 K."""
     sun = torch.tensor(SOLAR_IRRADIANCE, dtype=torch.float64)
