@@ -1,0 +1,141 @@
+"""In-scattered light along view rays, step by step: the march that every method is made of.
+
+A step of the ray from a to b, of optical depth dtau, adds
+
+    sun:    V dtau_s p(cosine) irradiance  mean of exp(-(tau + A))
+    light:  V dtau_s / (b - a) p(cosine) intensity w exp(-A) mean of exp(-tau)  integral of dt / (d(t)^2 + r^2)
+
+with tau the optical depth from the eye, A that to the light, dtau_s the part of dtau that is scattered, and V whether the middle of
+the step sees the light. The means are those of exponents that run evenly through the step, and the last integral is an arc tangent. So
+a single medium without shadows under the sun comes out exactly, with any number of steps, and the inverse square of a near light costs
+no accuracy: the steps have to resolve shadows, not the air.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from render.fused import fused_loops_wanted
+from render.media.special_functions import exponential_mean
+from render.shafts.air import Air
+from render.shafts.cube_shadow_map import CubeShadowMap
+from render.shafts.lights import AlwaysLit, Lighting, PointInScene, SunInScene
+from render.shafts.rays import ViewRays
+from render.shafts.shadow_map import ShadowMap
+
+
+@dataclass(frozen=True, eq=False)
+class MarchedLight:
+    """Outcome of a march.
+
+    Args:
+        in_scattering: light that the air adds `(ray, channel)`.
+        depth: optical depth of the rays `(ray, channel)` [1].
+    """
+
+    in_scattering: Tensor
+    depth: Tensor
+
+
+def march(air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spent: float = 0.0) -> MarchedLight:
+    """March along rays.
+
+    Args:
+        air: what scatters.
+        lighting: what lights it.
+        rays: where to.
+        edges: borders of the steps `(ray, step + 1)` [m], rising from 0 to the length of the ray.
+        spent: transmittance [1] at which a ray may be left; 0 for never. The torch loop takes no notice.
+
+    Returns:
+        Light and optical depth. The depth of a ray that was left early is that of its whole length.
+    """
+    depth = air.compute_depth(rays.origin[:, 2], rays.direction[:, 2], rays.distance)
+    if fused_loops_wanted(edges, rays.origin) and edges.dtype == torch.float32 and _mapped(lighting):
+        from render.shafts.fused_march import march_fused
+
+        return MarchedLight(march_fused(air, lighting, rays, edges, spent), depth)
+    return MarchedLight(_march(air, lighting, rays, edges), depth)
+
+
+def _mapped(lighting: Lighting) -> bool:
+    """Whether all shadows come from maps, which the fused loop reads."""
+    sun = lighting.sun is None or isinstance(lighting.sun.visibility, ShadowMap | AlwaysLit)
+    return sun and all(isinstance(point.visibility, CubeShadowMap | AlwaysLit) for point in lighting.points)
+
+
+def _march(air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor) -> Tensor:
+    height = rays.origin[:, 2:] + rays.direction[:, 2:] * edges
+    lengths = edges.diff(dim=1)
+    steps = [part.compute_depth(height[:, :-1], rays.direction[:, 2:], lengths) for part in air.constituents]
+    if not steps:
+        return edges.new_zeros(len(rays), 3)
+    depth = torch.nn.functional.pad(sum(steps[1:], steps[0]).cumsum(dim=1), (0, 0, 1, 0))
+    middles = rays.points_at(0.5 * (edges[:, 1:] + edges[:, :-1]))
+    light = edges.new_zeros(len(rays), 3)
+    if lighting.sun is not None:
+        light = light + _sunlight(air, lighting.sun, rays, height, steps, depth, middles)
+    for point in lighting.points:
+        light = light + _point_light(air, point, rays, edges, steps, depth, middles)
+    return light
+
+
+def _sunlight(
+    air: Air, sun: SunInScene, rays: ViewRays, height: Tensor, steps: list[Tensor], depth: Tensor, middles: Tensor
+) -> Tensor:
+    """Sunlight that the steps scatter into the rays `(ray, channel)`."""
+    exponent = depth + sun.depth.look_up(height)
+    arriving = exponential_mean(exponent[:, :-1], exponent[:, 1:])
+    arriving = torch.where(sun.visibility.look_up_lit(middles)[..., None], arriving, 0.0)
+    cosine = (rays.direction @ rays.direction.new_tensor(sun.light.direction)).clamp(-1.0, 1.0)
+    light = torch.zeros_like(depth[:, 0])
+    for part, step in zip(air.constituents, steps, strict=True):
+        light = light + part.albedo * part.evaluate_phase(cosine)[:, None] * (step * arriving).sum(1)
+    return light * light.new_tensor(sun.light.irradiance)
+
+
+def _point_light(
+    air: Air, point: PointInScene, rays: ViewRays, edges: Tensor, steps: list[Tensor], depth: Tensor, middles: Tensor
+) -> Tensor:
+    """Light of a point light that the steps scatter into the rays `(ray, channel)`."""
+    light = point.light
+    towards = middles.new_tensor(light.position) - middles
+    distance = torch.linalg.vector_norm(towards, dim=-1)
+    unit = towards / torch.where(distance > 0.0, distance, 1.0)[..., None]
+    between = air.compute_depth(middles[..., 2], unit[..., 2].clamp(-1.0, 1.0), distance)
+    arriving = torch.exp(-between) * exponential_mean(depth[:, :-1], depth[:, 1:])
+    spread = inverse_square_mean(rays, edges, light.position, light.radius) * light.window(distance)
+    spread = torch.where(point.visibility.look_up_lit(middles), spread, 0.0)
+    cosine = (unit * rays.direction[:, None]).sum(-1).clamp(-1.0, 1.0)
+    total = torch.zeros_like(depth[:, 0])
+    for part, step in zip(air.constituents, steps, strict=True):
+        weight = part.albedo * part.evaluate_phase(cosine) * spread
+        total = total + (weight[..., None] * step * arriving).sum(1)
+    return total * total.new_tensor(light.intensity)
+
+
+def inverse_square_mean(rays: ViewRays, edges: Tensor, position: tuple[float, float, float], radius: float) -> Tensor:
+    """Mean over each step of 1 / (d^2 + r^2), d the distance to a point.
+
+        integral of dt / (h^2 + t^2) from a to b = atan(h (b - a) / (h^2 + a b)) / h
+
+    with h^2 the squared distance between ray and point, plus r^2.
+
+    Args:
+        rays: where the steps lie.
+        edges: borders `(ray, step + 1)` [m].
+        position: of the point [m].
+        radius: r [m], positive.
+
+    Returns:
+        `(ray, step)` [1/m^2].
+    """
+    offset = rays.origin.new_tensor(position) - rays.origin
+    nearest = (offset * rays.direction).sum(-1, keepdim=True)
+    aside = offset - nearest * rays.direction
+    h = (aside.square().sum(-1, keepdim=True) + radius * radius).sqrt()
+    first, last = edges[:, :-1] - nearest, edges[:, 1:] - nearest
+    length = last - first
+    integral = torch.atan2(h * length, h * h + first * last) / h
+    return torch.where(length > 0.0, integral / torch.where(length > 0.0, length, 1.0), 1.0 / (h * h + first * first))
