@@ -1,5 +1,6 @@
 """Fused twin of `march`; imported only where numba is installed."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +31,8 @@ HALF = np.float32(0.5)
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _moment(x: float) -> float:
-    """(1 - exp(-x)) / x for x of at least 0; the series is exact to 1e-12 where it is used."""
-    if x < 0.03:
+    """(1 - exp(-x)) / x for x of at least 0; the series is exact to 1e-11 where it is used."""
+    if x < 0.06:
         return 1.0 - x * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0 - x / 720.0))))
     return (1.0 - np.exp(-x)) / x
 
@@ -40,13 +41,22 @@ def _moment(x: float) -> float:
 def _mean_exponential(first: float, last: float) -> float:
     """As `exponential_mean`."""
     low = min(first, last)
-    return 0.0 if np.isinf(low) or low > 700.0 else np.exp(-low) * _moment(abs(last - first))
+    return 0.0 if low > 700.0 else np.exp(-low) * _moment(abs(last - first))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _grey_depth(layer: Doubles, first: float, last: float, length: float) -> float:
+def _arc(x: float) -> float:
+    """atan(x) / x for x of at least 0; the series is exact to 1e-9 where it is used."""
+    if x < 0.15:
+        y = x * x
+        return 1.0 - y * (1.0 / 3.0 - y * (1.0 / 5.0 - y * (1.0 / 7.0 - y / 9.0)))
+    return np.arctan(x) / x
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _grey_depth(layers: Doubles, m: int, first: float, last: float, length: float) -> float:
     """Optical depth of a part of a ray between two heights through one layer."""
-    kind, extinction, base, top, reference, scale = layer[0], layer[1], layer[2], layer[3], layer[4], layer[5]
+    kind, extinction, base, top = layers[m, 0], layers[m, 1], layers[m, 2], layers[m, 3]
     low, high = min(first, last), max(first, last)
     if high < base or low > top or extinction == 0.0:
         return 0.0
@@ -56,19 +66,20 @@ def _grey_depth(layer: Doubles, first: float, last: float, length: float) -> flo
         return extinction * part
     if kind == 1.0:
         return extinction * part * (top - 0.5 * (inner_low + inner_high)) / (top - base)
+    reference, scale = layers[m, 4], layers[m, 5]
     return extinction * part * np.exp((reference - inner_low) / scale) * _moment((inner_high - inner_low) / scale)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _sun_depth(table: Doubles, lowest: float, spacing: float, height: float, channel: int) -> float:
-    """As `SunDepthTable.look_up`."""
+def _look_up_depth(table: Doubles, lowest: float, spacing: float, height: float, found: Doubles) -> None:
+    """As `SunDepthTable.look_up`, into as many channels as `found` has."""
     last = len(table) - 1
     place = min(max((height - lowest) / spacing, 0.0), float(last))
     cell = min(int(place), last - 1)
-    near, far = table[cell, channel], table[cell + 1, channel]
-    if np.isinf(near) or np.isinf(far):
-        return max(near, far)
-    return near + (place - cell) * (far - near)
+    share = place - cell
+    for c in range(len(found)):
+        near, far = table[cell, c], table[cell + 1, c]
+        found[c] = max(near, far) if max(near, far) > 1e300 else near + share * (far - near)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -82,7 +93,7 @@ def _sees_sun(axes: Floats, lower: Floats, texel: float, tops: Floats, x: float,
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _sees_lamp(cube: Floats, dx: float, dy: float, dz: float, distance: float) -> bool:
+def _sees_lamp(cubes: Floats, k: int, dx: float, dy: float, dz: float, distance: float) -> bool:
     """As `CubeShadowMap.look_up_lit`, for one offset from the light."""
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
@@ -93,10 +104,10 @@ def _sees_lamp(cube: Floats, dx: float, dy: float, dz: float, distance: float) -
         axis, main, first, second = 2, dz, dx, dy
     if main == 0.0:
         return True
-    size = cube.shape[1]
+    size = cubes.shape[2]
     column = min(max(int((0.5 + 0.5 * first / abs(main)) * size), 0), size - 1)
     row = min(max(int((0.5 + 0.5 * second / abs(main)) * size), 0), size - 1)
-    return distance <= cube[2 * axis + (1 if main < 0.0 else 0), row, column]
+    return distance <= cubes[k, 2 * axis + (1 if main < 0.0 else 0), row, column]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -110,115 +121,130 @@ def _phase(asymmetry: float, cosine: float) -> float:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _add_lamp(
-    lamp: Doubles,
-    cube: Floats,
-    layers: Doubles,
-    ray: Floats,
-    begin: float,
-    end: float,
-    before: Doubles,
-    after: Doubles,
-    greys: Doubles,
-    light: Doubles,
-) -> None:
-    """Add what one step scatters of one point light; `lamp` is its position, intensity, radius and reach."""
+def _lamp_step(
+    lamps: Doubles, closest: Doubles, cubes: Floats, k: int, layers: Doubles, rays: Floats, n: int, begin: float, end: float,
+    greys: Doubles, arriving: Doubles, light: Doubles,
+) -> None:  # fmt: skip
+    """Add what one step scatters of one point light.
+
+    A row of `lamps` is its position, intensity, radius and reach; `closest` the place along the ray nearest to it, and the square of h.
+    """
     middle = 0.5 * (begin + end)
-    dx = ray[0] + middle * ray[3] - lamp[0]
-    dy = ray[1] + middle * ray[4] - lamp[1]
-    dz = ray[2] + middle * ray[5] - lamp[2]
+    dx = rays[n, 0] + middle * rays[n, 3] - lamps[k, 0]
+    dy = rays[n, 1] + middle * rays[n, 4] - lamps[k, 1]
+    dz = rays[n, 2] + middle * rays[n, 5] - lamps[k, 2]
     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-    if distance >= lamp[7] or not _sees_lamp(cube, dx, dy, dz, distance):
+    if distance >= lamps[k, 7] or not _sees_lamp(cubes, k, dx, dy, dz, distance):
         return
     cosine = 0.0
     if distance > 0.0:
-        cosine = min(max(-(dx * ray[3] + dy * ray[4] + dz * ray[5]) / distance, -1.0), 1.0)
-    ox, oy, oz = lamp[0] - ray[0], lamp[1] - ray[1], lamp[2] - ray[2]
-    nearest = ox * ray[3] + oy * ray[4] + oz * ray[5]
-    ox, oy, oz = ox - nearest * ray[3], oy - nearest * ray[4], oz - nearest * ray[5]
-    aside = ox * ox + oy * oy + oz * oz + lamp[6] * lamp[6]
-    h, u, w = np.sqrt(aside), begin - nearest, end - nearest
-    spread = np.arctan2(h * (w - u), aside + u * w) / (h * (w - u))
-    spread *= (1.0 - (distance / lamp[7]) ** 4) ** 2
-    weight_0 = weight_1 = weight_2 = 0.0
-    depth_0 = depth_1 = depth_2 = 0.0
-    for m in range(len(layers)):
-        scattered = layers[m, 9] * _phase(layers[m, 10], cosine) * greys[m]
-        weight_0, weight_1, weight_2 = (
-            weight_0 + scattered * layers[m, 6],
-            weight_1 + scattered * layers[m, 7],
-            weight_2 + scattered * layers[m, 8],
-        )
-        between = _grey_depth(layers[m], lamp[2] + dz, lamp[2], distance)
-        depth_0, depth_1, depth_2 = (
-            depth_0 + between * layers[m, 6],
-            depth_1 + between * layers[m, 7],
-            depth_2 + between * layers[m, 8],
-        )
-    light[0] += lamp[3] * spread * weight_0 * np.exp(-depth_0) * _mean_exponential(before[0], after[0])
-    light[1] += lamp[4] * spread * weight_1 * np.exp(-depth_1) * _mean_exponential(before[1], after[1])
-    light[2] += lamp[5] * spread * weight_2 * np.exp(-depth_2) * _mean_exponential(before[2], after[2])
+        cosine = min(max(-(dx * rays[n, 3] + dy * rays[n, 4] + dz * rays[n, 5]) / distance, -1.0), 1.0)
+    u, w, aside = begin - closest[k, 0], end - closest[k, 0], closest[k, 1]
+    spread = _mean_inverse_square(u, w, aside)
+    if lamps[k, 7] < np.inf:
+        share = (distance / lamps[k, 7]) * (distance / lamps[k, 7])
+        spread *= (1.0 - share * share) * (1.0 - share * share)
+    channels = len(arriving)
+    for c in range(channels):
+        weight = depth = 0.0
+        for m in range(len(layers)):
+            if c == 0:
+                greys[len(layers) + m] = layers[m, 9] * _phase(layers[m, 10], cosine) * greys[m]
+                greys[2 * len(layers) + m] = _grey_depth(layers, m, lamps[k, 2] + dz, lamps[k, 2], distance)
+            weight += greys[len(layers) + m] * layers[m, 6 + c]
+            depth += greys[2 * len(layers) + m] * layers[m, 6 + c]
+        amount = spread * weight * arriving[c] * np.exp(-depth)
+        light[c] += lamps[k, 3 + c] * amount
+        if channels == 1:
+            light[1] += lamps[k, 4] * amount
+            light[2] += lamps[k, 5] * amount
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _mean_inverse_square(first: float, last: float, aside: float) -> float:
+    """As `inverse_square_mean`, for a step that has a length."""
+    below = aside + first * last
+    h = np.sqrt(aside)
+    if below > 0.0:
+        return _arc(h * (last - first) / below) / below
+    return np.arctan2(h * (last - first), below) / (h * (last - first))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _march(
-    rays: Floats,
-    edges: Floats,
-    layers: Doubles,
-    sun_phase: Floats,
-    table: Doubles,
-    heights: Doubles,
-    axes: Floats,
-    lower: Floats,
-    texel: float,
-    tops: Floats,
-    irradiance: Doubles,
-    lamps: Doubles,
-    cubes: Floats,
-    spent: float,
-    found: Floats,
-    first: int,
-    last: int,
-) -> None:
+    rays: Floats, edges: Floats, layers: Doubles, channels: int,
+    sun_phase: Floats, table: Doubles, heights: Doubles,
+    axes: Floats, lower: Floats, texel: float, tops: Floats, irradiance: Doubles,
+    lamps: Doubles, cubes: Floats, spent: float, found: Floats, first: int, last: int,
+) -> None:  # fmt: skip
+    """All steps of the rays from `first` to `last`; one channel stands for all where the air is grey."""
     count = len(layers)
-    before, after, light = np.zeros(3), np.zeros(3), np.zeros(3)
-    sun_before, sun_after, source, greys = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(count)
+    light, greys, closest = np.zeros(3), np.zeros(3 * count), np.zeros((len(lamps), 2))
+    before, step, source, arriving = np.zeros(channels), np.zeros(channels), np.zeros(channels), np.zeros(channels)
+    sun_low, sun_high = np.zeros(channels), np.zeros(channels)
     for n in range(first, last):
-        ray = rays[n]
         light[:] = 0.0
         before[:] = 0.0
-        low = float(ray[2])
-        for c in range(3):
-            sun_before[c] = _sun_depth(table, heights[0], heights[1], low, c)
+        low, known = float(rays[n, 2]), False
+        for k in range(len(lamps)):
+            _nearest(lamps, k, rays, n, closest)
         for i in range(edges.shape[1] - 1):
             begin, end = edges[n, i], edges[n, i + 1]
-            high = float(ray[2]) + float(ray[5]) * float(end)
-            after[:] = before
+            if not end > begin:
+                continue
+            high = float(rays[n, 2]) + float(rays[n, 5]) * float(end)
+            middle = HALF * (end + begin)
+            x, y, z = (
+                rays[n, 0] + middle * rays[n, 3],
+                rays[n, 1] + middle * rays[n, 4],
+                rays[n, 2] + middle * rays[n, 5],
+            )
+            lit = len(irradiance) > 0 and _sees_sun(axes, lower, texel, tops, x, y, z)
+            step[:] = 0.0
             source[:] = 0.0
             for m in range(count):
-                greys[m] = _grey_depth(layers[m], low, high, float(end - begin))
-                for c in range(3):
-                    step = greys[m] * layers[m, 6 + c]
-                    after[c] += step
-                    source[c] += step * sun_phase[n, m]
-            middle = HALF * (end + begin)
-            x, y, z = ray[0] + middle * ray[3], ray[1] + middle * ray[4], ray[2] + middle * ray[5]
-            lit = len(irradiance) > 0 and _sees_sun(axes, lower, texel, tops, x, y, z)
-            for c in range(3):
-                sun_after[c] = _sun_depth(table, heights[0], heights[1], high, c)
-                if lit and source[c] > 0.0:
-                    mean = _mean_exponential(before[c] + sun_before[c], after[c] + sun_after[c])
+                grey = _grey_depth(layers, m, low, high, float(end - begin))
+                greys[m] = grey
+                for c in range(channels):
+                    step[c] += grey * layers[m, 6 + c]
+                    source[c] += grey * layers[m, 6 + c] * sun_phase[n, m]
+            if lit:
+                if not known:
+                    _look_up_depth(table, heights[0], heights[1], low, sun_low)
+                _look_up_depth(table, heights[0], heights[1], high, sun_high)
+                for c in range(channels):
+                    mean = _mean_exponential(before[c] + sun_low[c], before[c] + step[c] + sun_high[c])
                     light[c] += irradiance[c] * source[c] * mean
-            if end > begin:
+                    if channels == 1:
+                        light[1] += irradiance[1] * source[0] * mean
+                        light[2] += irradiance[2] * source[0] * mean
+                    sun_low[c] = sun_high[c]
+            known = lit
+            if len(lamps) > 0:
+                for c in range(channels):
+                    arriving[c] = _mean_exponential(before[c], before[c] + step[c])
                 for k in range(len(lamps)):
-                    _add_lamp(lamps[k], cubes[k], layers, ray, begin, end, before, after, greys, light)
-            before[:] = after
-            sun_before[:] = sun_after
+                    _lamp_step(
+                        lamps, closest, cubes, k, layers, rays, n, float(begin), float(end), greys, arriving, light
+                    )
+            least = np.inf
+            for c in range(channels):
+                before[c] += step[c]
+                least = min(least, before[c])
             low = high
-            if np.exp(-min(before[0], before[1], before[2])) < spent:
+            if least > spent:
                 break
         for c in range(3):
             found[n, c] = light[c]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _nearest(lamps: Doubles, k: int, rays: Floats, n: int, closest: Doubles) -> None:
+    """Where along a ray a light is nearest, and the squared distance there plus that of its radius."""
+    x, y, z = lamps[k, 0] - rays[n, 0], lamps[k, 1] - rays[n, 1], lamps[k, 2] - rays[n, 2]
+    nearest = x * rays[n, 3] + y * rays[n, 4] + z * rays[n, 5]
+    x, y, z = x - nearest * rays[n, 3], y - nearest * rays[n, 4], z - nearest * rays[n, 5]
+    closest[k, 0], closest[k, 1] = nearest, x * x + y * y + z * z + lamps[k, 6] * lamps[k, 6]
 
 
 def march_fused(air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spent: float) -> Tensor:
@@ -227,9 +253,10 @@ def march_fused(air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spe
     found = torch.zeros(len(rays), 3)
     lines = torch.cat([rays.origin, rays.direction], dim=1).float().contiguous().numpy()
     sun, lamps = _sun_arrays(air, lighting, rays), _lamp_arrays(lighting)
-    arrays = (lines, edges.contiguous().numpy(), _layer_array(air), *sun, *lamps)
-    out = found.numpy()
-    run_in_threads(lambda first, last: _march(*arrays, spent, out, first, last), len(out), CHUNK)
+    grey = all(len(set(part.colour)) == 1 for part in air.constituents)
+    arrays = (lines, edges.contiguous().numpy(), _layer_array(air), 1 if grey else 3, *sun, *lamps)
+    out, deepest = found.numpy(), math.inf if spent <= 0.0 else -math.log(spent)
+    run_in_threads(lambda first, last: _march(*arrays, deepest, out, first, last), len(out), CHUNK)
     return found
 
 
@@ -239,7 +266,7 @@ def _layer_array(air: Air) -> Doubles:
     for row, part in zip(rows, air.constituents, strict=True):
         medium = part.medium
         reference, scale = getattr(medium, "reference", 0.0), getattr(medium, "scale_height", 1.0)
-        row[:6] = (KINDS[type(medium)], medium.extinction, medium.base, medium.top, reference, scale)
+        row[:6] = (KINDS[type(medium)], getattr(medium, "extinction", 0.0), medium.base, medium.top, reference, scale)
         row[6:9], row[9] = part.colour, part.albedo
         row[10] = np.nan if part.phase == "rayleigh" else part.asymmetry
     return rows

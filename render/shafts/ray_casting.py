@@ -10,9 +10,6 @@ from torch import Tensor
 from render.shafts.air import Colour
 from render.shafts.mesh import Mesh, check_extra_installed
 
-SHORTEST_SHARE = 1e-4
-"""Share of a length by which shadow rays begin in front of the surface they leave; float32 places it no better."""
-
 
 @dataclass(frozen=True, eq=False)
 class Hits:
@@ -43,7 +40,8 @@ class RayCaster:
         self._scene: Any = None
         self._normals = torch.zeros(1, 3)
         self._albedos = torch.zeros(1, 3)
-        self.lower = self.upper = None
+        self.lower: Tensor | None = None
+        self.upper: Tensor | None = None
         if not meshes:
             return
         check_extra_installed("embreex")
@@ -56,8 +54,8 @@ class RayCaster:
         # The last row is that of rays that meet nothing, whose triangle has the number -1.
         self._normals = torch.cat([normals.float(), self._normals])
         self._albedos = torch.cat([_albedos(mesh) for mesh in meshes] + [self._albedos])
-        self.lower: Tensor | None = corners.amin((0, 1))
-        self.upper: Tensor | None = corners.amax((0, 1))
+        self.lower = corners.amin((0, 1))
+        self.upper = corners.amax((0, 1))
         self._scene = EmbreeScene()
         TriangleMesh(self._scene, np.ascontiguousarray(corners.numpy()))
 

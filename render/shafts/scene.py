@@ -1,7 +1,7 @@
 """A scene: camera, things, air, sun and lamps."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from render.camera import OrthographicCamera, PinholeCamera
 from render.errors import SceneError
@@ -31,7 +31,7 @@ class ShaftScene:
 
     camera: PinholeCamera | OrthographicCamera
     meshes: tuple[Mesh, ...] = ()
-    air: Air = Air()
+    air: Air = field(default_factory=Air)
     sun: Sun | None = None
     lights: tuple[PointLight, ...] = ()
     ambient: Colour = (0.0, 0.0, 0.0)

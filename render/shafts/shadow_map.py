@@ -1,8 +1,8 @@
 """Shadows of the sun: for each line towards the sun, how far along it the last surface lies.
 
 With (across, up, towards the sun) as axes, a point lies in shadow if the topmost surface in its column is nearer to the sun than the
-point is. The map holds that height for the middles of square texels that cover all casters; beyond it everything is lit. The light is
-parallel, so one map serves every camera.
+point is. The map holds that height for the middles of square texels. They cover those casters whose columns the view rays pass; beyond
+them nobody asks, or everything is lit.
 """
 
 import math
@@ -47,13 +47,14 @@ class ShadowMap:
         return ~(inside & (place[..., 2] < top))
 
 
-def build_shadow_map(caster: RayCaster, direction: Vector, resolution: int) -> ShadowMap:
+def build_shadow_map(caster: RayCaster, direction: Vector, resolution: int, region: Tensor | None = None) -> ShadowMap:
     """Cast a ray from the sun through every texel.
 
     Args:
-        caster: what throws shadows; not empty.
+        caster: what throws shadows.
         direction: unit vector towards the sun.
         resolution: texels along the longer side, at least 1.
+        region: points `(point, 3)` [m] whose convex hull holds whatever will be looked up; None for everywhere.
 
     Returns:
         The map.
@@ -65,13 +66,19 @@ def build_shadow_map(caster: RayCaster, direction: Vector, resolution: int) -> S
         raise ParameterError(f"expected a shadow map of at least one texel, got a resolution of {resolution}")
     axes = light_axes(direction)
     if caster.lower is None or caster.upper is None:
-        return ShadowMap(axes.float(), torch.zeros(2), 1.0, torch.full((1, 1), -math.inf))
+        return _empty_map(axes)
     box = torch.cartesian_prod(*torch.stack([caster.lower, caster.upper], 1).double()) @ axes.T
-    lower, upper = box.amin(0), box.amax(0)
-    extent = (upper - lower)[:2]
-    texel = float(extent.max()) / resolution or 1.0
-    columns, rows = (max(1, math.ceil(float(side) / texel)) for side in extent)
-    start = upper[2] + 0.01 * (upper[2] - lower[2]) + texel
+    lower, upper = box.amin(0)[:2], box.amax(0)[:2]
+    if region is not None:
+        seen = region.double() @ axes[:2].T
+        lower, upper = torch.maximum(lower, seen.amin(0)), torch.minimum(upper, seen.amax(0))
+    extent = (upper - lower).tolist()
+    if min(extent) < 0.0 or max(extent) == 0.0:
+        return _empty_map(axes)
+    texel = max(extent) / resolution
+    columns, rows = (max(1, math.ceil(side / texel)) for side in extent)
+    highest, lowest = float(box[:, 2].max()), float(box[:, 2].min())
+    start = torch.tensor(highest + 0.01 * (highest - lowest) + texel, dtype=torch.float64)
     across = lower[0] + (torch.arange(columns, dtype=torch.float64) + 0.5) * texel
     parts = []
     for first in range(0, rows, ROWS_AT_ONCE):
@@ -80,7 +87,12 @@ def build_shadow_map(caster: RayCaster, direction: Vector, resolution: int) -> S
         origin = torch.stack([u, v, start.expand_as(u)], dim=-1).reshape(-1, 3) @ axes
         fallen = caster.find_distance(origin, -axes[2].expand_as(origin))
         parts.append((start - fallen.double()).float().reshape(len(up), columns))
-    return ShadowMap(axes.float(), lower[:2].float(), texel, torch.cat(parts).contiguous())
+    return ShadowMap(axes.float(), lower.float(), texel, torch.cat(parts).contiguous())
+
+
+def _empty_map(axes: Tensor) -> ShadowMap:
+    """A map in which everything is lit."""
+    return ShadowMap(axes.float(), torch.zeros(2), 1.0, torch.full((1, 1), -math.inf))
 
 
 def light_axes(direction: Vector) -> Tensor:

@@ -132,17 +132,18 @@ def _light_scene(scene: ShaftScene, caster: RayCaster, rays: ViewRays, maps: Map
     sun = None
     if scene.sun is not None and any(scene.sun.irradiance):
         table = build_sun_depth(scene.air, scene.sun, lowest, highest)
-        sun = SunInScene(scene.sun, table, _sun_visibility(scene.sun, caster, maps))
+        sun = SunInScene(scene.sun, table, _sun_visibility(scene.sun, caster, rays, maps))
     shining = [light for light in scene.lights if any(light.intensity)]
     return Lighting(sun, tuple(PointInScene(light, _lamp_visibility(light, caster, maps)) for light in shining))
 
 
-def _sun_visibility(sun: Sun, caster: RayCaster, maps: MapSettings) -> Visibility:
+def _sun_visibility(sun: Sun, caster: RayCaster, rays: ViewRays, maps: MapSettings) -> Visibility:
     if caster.empty:
         return AlwaysLit()
     if maps.exact:
         return SunRays(caster, sun.direction)
-    return build_shadow_map(caster, sun.direction, maps.sun_resolution)
+    ends = torch.cat([rays.origin, rays.origin + rays.distance[:, None] * rays.direction])
+    return build_shadow_map(caster, sun.direction, maps.sun_resolution, ends)
 
 
 def _lamp_visibility(light: PointLight, caster: RayCaster, maps: MapSettings) -> Visibility:
