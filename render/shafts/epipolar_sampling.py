@@ -1,0 +1,246 @@
+"""Samples along epipolar lines: which are marched, and how all pixels follow from them.
+
+Dense samples lie evenly along each line. Of these every n-th is marched, and both samples on either side of any place where
+the depth leaves its step of a logarithmic scale; the others are interpolated along the line, so never across an edge. A pixel
+is interpolated from the four dense samples around it, those of another depth left out; where none is left the pixel is
+marched by itself. Engelhardt & Dachsbacher 2010, sections 3 and 4; the lines are those of `render.shafts.epipolar`.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from render.errors import ParameterError
+from render.shafts.depth_edges import compute_log_depth, depth_gap
+from render.shafts.epipolar import EpipolarLines, LightImage, arrange_lines
+
+PIXELS_IN_FLIGHT = 1 << 17
+"""Pixels located or interpolated at once: their intermediate rows stay near the cache."""
+
+
+@dataclass(frozen=True)
+class EpipolarSettings:
+    """How densely lines and samples lie.
+
+    Args:
+        line_gap: largest distance between the ends of neighbouring lines [pixels].
+        sample_gap: largest distance between dense samples of a line [pixels].
+        stride: every so many dense samples one is marched; 1 marches all.
+        depth_tolerance: depths whose ratio is within 1 +- this belong to one surface.
+
+    Raises:
+        ParameterError: for a number that is not positive.
+    """
+
+    line_gap: float = 2.0
+    sample_gap: float = 1.0
+    stride: int = 16
+    depth_tolerance: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not (self.line_gap > 0.0 and self.sample_gap > 0.0 and self.stride >= 1 and self.depth_tolerance > 0.0):
+            raise ParameterError(f"gaps, stride and depth tolerance must be positive: {self}")
+
+
+@dataclass(frozen=True, eq=False)
+class EpipolarSampling:
+    """Where to march, and the weights by which the pixels follow.
+
+    Args:
+        lines: the lines.
+        points: dense samples `(sample, 2)` x, y [pixels], line by line; some lie just outside of the frame.
+        line: line of each dense sample `(sample,)`, int64.
+        depth: depth of the pixel under each dense sample `(sample,)` [m].
+        marched: numbers of the dense samples to march `(marched,)`, int64, rising.
+        neighbours: the marched samples before and after each dense one, as places in `marched` `(sample, 2)`, int32.
+        share: weight of the second of the two `(sample,)`.
+        pixel_samples: the dense samples around each pixel `(pixel, 4)`, int32.
+        pixel_weights: their weights `(pixel, 4)`, of sum 1, or all 0 for a pixel of its own.
+        own_pixels: numbers of the pixels to march by themselves `(own,)`, int64, rising.
+    """
+
+    lines: EpipolarLines
+    points: Tensor
+    line: Tensor
+    depth: Tensor
+    marched: Tensor
+    neighbours: Tensor
+    share: Tensor
+    pixel_samples: Tensor
+    pixel_weights: Tensor
+    own_pixels: Tensor
+
+    @property
+    def refined(self) -> Tensor:
+        """True for the dense samples that are marched `(sample,)`."""
+        mask = torch.zeros(len(self.points), dtype=torch.bool, device=self.points.device)
+        mask[self.marched] = True
+        return mask
+
+    def interpolate(self, marched_values: Tensor, own_values: Tensor) -> Tensor:
+        """Image from what has been marched.
+
+        Args:
+            marched_values: at `points[marched]` `(marched, channel)`.
+            own_values: at the centres of `own_pixels` `(own, channel)`.
+
+        Returns:
+            Values of all pixels `(pixel, channel)`, row by row.
+
+        Raises:
+            ParameterError: for another number of values than of places.
+        """
+        if len(marched_values) != len(self.marched) or len(own_values) != len(self.own_pixels):
+            raise ParameterError(
+                f"{len(self.marched)} samples and {len(self.own_pixels)} pixels are to be marched, but values of "
+                f"{len(marched_values)} and {len(own_values)} came"
+            )
+        before, after = (marched_values.index_select(0, side) for side in self.neighbours.unbind(1))
+        dense = torch.lerp(before, after, self.share.to(before.dtype)[:, None])
+        image = dense.new_empty(len(self.pixel_samples), dense.shape[1])
+        for first in range(0, len(image), PIXELS_IN_FLIGHT):
+            part = slice(first, first + PIXELS_IN_FLIGHT)
+            weights = self.pixel_weights[part].to(dense.dtype)
+            rows = dense.index_select(0, self.pixel_samples[part].reshape(-1)).reshape(-1, 4, dense.shape[1])
+            image[part] = (weights[:, :, None] * rows).sum(1)
+        image[self.own_pixels] = own_values
+        return image
+
+
+def build_epipolar_sampling(
+    light: LightImage, depth: Tensor, settings: EpipolarSettings | None = None
+) -> EpipolarSampling:
+    """Lay lines and samples over a frame.
+
+    Args:
+        light: image of the light, for the same frame.
+        depth: distance from the eye to the first surface seen by each pixel `(height, width)` [m], infinite for the sky.
+        settings: density of lines and samples.
+
+    Returns:
+        The samples and the weights.
+
+    Raises:
+        ParameterError: for a depth of another shape than the frame, negative or NaN.
+    """
+    settings = settings or EpipolarSettings()
+    if depth.shape != (light.height, light.width):
+        raise ParameterError(
+            f"the depth of a frame of {light.height} rows of {light.width} pixels has the shape {tuple(depth.shape)}"
+        )
+    lines = arrange_lines(light, settings.line_gap)
+    log_depth = compute_log_depth(depth)
+    line, fraction, inward = _locate_pixels(lines, depth.device)
+    dense = _lay_samples(lines, line, inward, settings.sample_gap)
+    x, y = (dense.points[:, axis].floor().long() for axis in (0, 1))
+    under = y.clamp(0, light.height - 1) * light.width + x.clamp(0, light.width - 1)
+    dense_log = log_depth.reshape(-1)[under]
+    marched, neighbours, share = _choose_marched(dense, dense_log, settings)
+    samples, weights = _weigh_pixels(
+        dense, dense_log, log_depth.reshape(-1), (line, fraction, inward), settings.depth_tolerance
+    )
+    own = torch.nonzero(weights.sum(1) == 0.0)[:, 0]
+    return EpipolarSampling(
+        lines=lines,
+        points=dense.points.to(torch.float32),
+        line=dense.line,
+        depth=depth.reshape(-1)[under],
+        marched=marched,
+        neighbours=neighbours,
+        share=share,
+        pixel_samples=samples,
+        pixel_weights=weights,
+        own_pixels=own,
+    )
+
+
+def _locate_pixels(lines: EpipolarLines, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """`lines.locate` of all pixel centres, row by row."""
+    width, count = lines.light.width, lines.light.width * lines.light.height
+    parts = []
+    for first in range(0, count, PIXELS_IN_FLIGHT):
+        number = torch.arange(first, min(first + PIXELS_IN_FLIGHT, count), device=device)
+        column, row = number % width, number // width
+        parts.append(lines.locate(torch.stack([column, row], dim=1).double() + 0.5))
+    line, fraction, inward = (torch.cat(part) for part in zip(*parts, strict=True))
+    return line, fraction, inward
+
+
+@dataclass(frozen=True, eq=False)
+class _Dense:
+    """Dense samples, line by line: q of the first of each line, their step in q, number, and number of the first."""
+
+    points: Tensor
+    line: Tensor
+    start: Tensor
+    step: Tensor
+    count: Tensor
+    first: Tensor
+
+
+def _lay_samples(lines: EpipolarLines, line: Tensor, inward: Tensor, gap: float) -> _Dense:
+    """Samples over the stretch of each line that the pixels on either side of it need, its ends included."""
+    nearest = inward.new_full((lines.lines,), torch.inf)
+    farthest = inward.new_full((lines.lines,), -torch.inf)
+    for neighbour in (line, line + 1):
+        nearest.scatter_reduce_(0, neighbour, inward, "amin")
+        farthest.scatter_reduce_(0, neighbour, inward, "amax")
+    needed = farthest >= nearest
+    nearest = torch.where(needed, nearest, 0.0)
+    extent = torch.where(needed, farthest - nearest, 0.0)
+    speed = torch.linalg.vector_norm(lines.light.outward(lines.ends.to(inward.device)), dim=1)
+    count = torch.where(needed, torch.ceil(extent * speed / gap).long() + 1, 0)
+    step = extent / (count - 1).clamp(min=1)
+    first = count.cumsum(0) - count
+    owner = torch.repeat_interleave(torch.arange(lines.lines, device=inward.device), count)
+    number = torch.arange(len(owner), device=inward.device) - first[owner]
+    points = lines.points_at(owner, nearest[owner] + number * step[owner])
+    return _Dense(points, owner, nearest, step, count, first)
+
+
+def _choose_marched(dense: _Dense, log_depth: Tensor, settings: EpipolarSettings) -> tuple[Tensor, Tensor, Tensor]:
+    """Dense samples to march, and for every dense sample the places of its marched neighbours and the share of the second."""
+    index = torch.arange(len(dense.line), device=dense.line.device)
+    number = index - dense.first[dense.line]
+    marked = (number % settings.stride == 0) | (number == dense.count[dense.line] - 1)
+    # Within one step of the scale no two depths differ by more than the tolerance, however slowly they drift.
+    level = torch.floor(log_depth / math.log1p(settings.depth_tolerance))
+    broken = level[1:] != level[:-1]
+    marked[1:] |= broken
+    marked[:-1] |= broken
+    marched = torch.nonzero(marked)[:, 0]
+    place = marked.long().cumsum(0) - 1  # of the last marched sample up to here
+    before = place
+    after = torch.where(marked, place, place + 1)
+    low, high = marched[before], marched[after]
+    share = (index - low).double() / (high - low).clamp(min=1)
+    return marched, torch.stack([before, after], dim=1).int(), share.to(torch.float32)
+
+
+def _weigh_pixels(
+    dense: _Dense, dense_log: Tensor, pixel_log: Tensor, located: tuple[Tensor, Tensor, Tensor], tolerance: float
+) -> tuple[Tensor, Tensor]:
+    """The four dense samples around each pixel and their weights, those across an edge left out."""
+    samples, weights = [], []
+    for line, fraction, inward, log_depth in zip(
+        *(whole.split(PIXELS_IN_FLIGHT) for whole in (*located, pixel_log)), strict=True
+    ):
+        around, share = [], []
+        for neighbour, across in ((line, 1.0 - fraction), (line + 1, fraction)):
+            step = dense.step[neighbour]
+            place = torch.where(step > 0.0, (inward - dense.start[neighbour]) / step, 0.0)
+            last = dense.count[neighbour] - 1
+            low = torch.minimum(place.floor().long().clamp(min=0), (last - 1).clamp(min=0))
+            along = (place - low).clamp(0.0, 1.0)
+            first = dense.first[neighbour]
+            around += [first + low, first + torch.minimum(low + 1, last)]
+            share += [across * (1.0 - along), across * along]
+        number, weight = torch.stack(around, dim=1), torch.stack(share, dim=1)
+        same = depth_gap(dense_log[number], log_depth[:, None]) <= math.log1p(tolerance)
+        weight = torch.where(same, weight, 0.0)
+        total = weight.sum(1, keepdim=True)
+        samples.append(number.int())
+        weights.append(torch.where(total > 0.0, weight / total, 0.0).to(torch.float32))
+    return torch.cat(samples), torch.cat(weights)
