@@ -178,3 +178,16 @@ class Lighting:
 
     sun: SunInScene | None = None
     points: tuple[PointInScene, ...] = ()
+
+    def separate(self) -> "list[Lighting]":
+        """Each light by itself, the sun first."""
+        suns = [] if self.sun is None else [Lighting(self.sun)]
+        return suns + [Lighting(points=(point,)) for point in self.points]
+
+    @property
+    def names(self) -> str:
+        """What shines, in words."""
+        parts = ["the sun"] if self.sun is not None else []
+        if self.points:
+            parts.append("one lamp" if len(self.points) == 1 else f"{len(self.points)} lamps")
+        return " and ".join(parts) or "no light"

@@ -139,3 +139,29 @@ def inverse_square_mean(rays: ViewRays, edges: Tensor, position: tuple[float, fl
     length = last - first
     integral = torch.atan2(h * length, h * h + first * last) / h
     return torch.where(length > 0.0, integral / torch.where(length > 0.0, length, 1.0), 1.0 / (h * h + first * first))
+
+
+def accumulate_sunlight(air: Air, sun: SunInScene, rays: ViewRays, edges: Tensor) -> Tensor:
+    """Sunlight that rays gather up to each border if nothing stands in its way: smooth, and exact at the borders for one medium.
+
+    Args:
+        air: what scatters.
+        sun: its visibility is not asked for.
+        rays: where to.
+        edges: borders of the steps `(ray, step + 1)` [m].
+
+    Returns:
+        Light `(ray, step + 1, channel)`, 0 at the first border.
+    """
+    height = rays.origin[:, 2:] + rays.direction[:, 2:] * edges
+    lengths = edges.diff(dim=1)
+    cosine = (rays.direction @ rays.direction.new_tensor(sun.light.direction)).clamp(-1.0, 1.0)
+    depth = edges.new_zeros(*lengths.shape, 3)
+    scattered = torch.zeros_like(depth)
+    for part in air.constituents:
+        step = part.compute_depth(height[:, :-1], rays.direction[:, 2:], lengths)
+        depth = depth + step
+        scattered = scattered + part.albedo * part.evaluate_phase(cosine)[:, None, None] * step
+    exponent = torch.nn.functional.pad(depth.cumsum(dim=1), (0, 0, 1, 0)) + sun.depth.look_up(height)
+    light = scattered * exponential_mean(exponent[:, :-1], exponent[:, 1:]) * depth.new_tensor(sun.light.irradiance)
+    return torch.nn.functional.pad(light.cumsum(dim=1), (0, 0, 1, 0))

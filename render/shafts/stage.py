@@ -93,6 +93,11 @@ class Stage:
         return self.rays.distance.reshape(self.scene.camera.height, self.scene.camera.width)
 
 
+    def rays_through(self, points: Tensor, distance: Tensor) -> ViewRays:
+        """Rays of given lengths `(point,)` [m] through points of the image `(point, 2)`: x, y [pixel]."""
+        return ViewRays(*self.scene.camera.rays_through(points), distance)
+
+
 def prepare_stage(scene: ShaftScene, maps: MapSettings | None = None) -> Stage:
     """Make a scene ready.
 

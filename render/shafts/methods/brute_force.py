@@ -3,15 +3,10 @@
 from dataclasses import dataclass, replace
 from typing import Self
 
-import torch
-
-from render.shafts.march import march
 from render.shafts.methods.base import Gathered, check_steps
+from render.shafts.methods.marching import march_rays
 from render.shafts.rays import uniform_edges
 from render.shafts.stage import Stage
-
-SAMPLES_AT_ONCE = 1 << 18
-"""Rays times steps of a chunk: their numbers stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +27,11 @@ class BruteForce:
 
     def gather(self, stage: Stage) -> Gathered:
         """In-scattered light of every pixel."""
-        chunk = max(1, SAMPLES_AT_ONCE // self.steps)
-        parts = []
-        for first in range(0, len(stage.rays), chunk):
-            rays = stage.rays[first : first + chunk]
-            edges = uniform_edges(rays, self.steps)
-            parts.append(march(stage.scene.air, stage.lighting, rays, edges).in_scattering)
-        return Gathered(torch.cat(parts), (f"{self.steps} equal steps along every ray",))
+        steps = self.steps
+        light = march_rays(
+            stage.scene.air, stage.lighting, stage.rays, lambda rays: uniform_edges(rays, steps), steps
+        )
+        return Gathered(light, (f"{steps} equal steps along every ray, lit by {stage.lighting.names}",))
 
     def refined(self) -> Self:
         """Twice as many steps."""
