@@ -38,52 +38,82 @@ def _put(stretches: Row, count: int, start: float, end: float, joins: bool) -> i
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def walk_ray(
+    edges: Row, minimum: Row, maximum: Row, levels: int, ends: Row, n: int, zero: float, one: float,
+    nodes: NDArray[np.int64], found: Row, total: int,
+) -> int:  # fmt: skip
+    """Stretches of ray n of `ends` through one slice of 2^levels cells, in order, behind the `total` first rows of `found`.
+
+    Args:
+        edges, minimum, maximum: a row of each tensor of a `MinMaxTree`.
+        levels: of the tree.
+        ends: first and last place, first and last depth of the rays `(4, ray)`.
+        n: number of the ray.
+        zero, one: in the precision of the tree.
+        nodes: room for nodes and their levels `(2, levels + 2)`.
+        found: room for as many stretches as cells, and one.
+        total: stretches there.
+
+    Returns:
+        The number of stretches that are there now.
+    """
+    cells, begun, held = 1 << levels, total, 1
+    start, extent = ends[0, n], ends[1, n] - ends[0, n]
+    shallow, slope = ends[2, n], ends[3, n] - ends[2, n]
+    nodes[0, 0], nodes[1, 0] = 1, levels
+    while held > 0:
+        held -= 1
+        node, level = nodes[0, held], nodes[1, held]
+        cell = (node << level) - cells
+        low = _fraction(edges[cell], start, extent, zero, one)
+        high = _fraction(edges[cell + (1 << level)], start, extent, zero, one)
+        if low == high:
+            continue
+        enter, leave = min(low, high), max(low, high)
+        enter_depth, leave_depth = shallow + enter * slope, shallow + leave * slope
+        if max(enter_depth, leave_depth) <= minimum[node]:
+            total = _put(found, total, enter, leave, total > begun)
+        elif min(enter_depth, leave_depth) <= maximum[node]:
+            if level > 0:
+                backwards = 1 if extent < zero else 0
+                nodes[0, held], nodes[0, held + 1] = 2 * node + 1 - backwards, 2 * node + backwards
+                nodes[1, held] = nodes[1, held + 1] = level - 1
+                held += 2
+                continue
+            crossing = min(max((minimum[node] - shallow) / slope, enter), leave)
+            if enter_depth <= minimum[node]:
+                leave = crossing
+            else:
+                enter = crossing
+            if leave > enter:
+                total = _put(found, total, enter, leave, total > begun)
+    return total
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def with_room(found: Row, total: int, more: int) -> Row:
+    """The array itself, or one twice as long with the same first rows if `more` rows would not fit."""
+    if total + more <= len(found):
+        return found
+    larger = np.empty((2 * (total + more), 2), found.dtype)
+    larger[:total] = found[:total]
+    return larger
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def _walk(
     edges: Row, minimum: Row, maximum: Row, ends: Row, slices: NDArray[np.int64], levels: int, zero: float, one: float,
     counts: NDArray[np.int64], first: int, last: int,
 ) -> Row:  # fmt: skip
     """Stretches `(interval, 2)` of the rays from `first` to `last`, in order; their numbers go to `counts`."""
-    cells = edges.shape[1] - 1
-    found = np.empty((4 * (last - first) + cells + 1, 2), edges.dtype)
-    nodes, heights = np.empty(levels + 2, np.int64), np.empty(levels + 2, np.int64)
+    found = np.empty((4 * (last - first), 2), edges.dtype)
+    nodes = np.empty((2, levels + 2), np.int64)
     total = 0
     for n in range(first, last):
-        row, begun = slices[n], total
-        start, extent = ends[0, n], ends[1, n] - ends[0, n]
-        shallow, slope = ends[2, n], ends[3, n] - ends[2, n]
-        if total + cells + 1 > len(found):
-            larger = np.empty((2 * len(found), 2), edges.dtype)
-            larger[:total] = found[:total]
-            found = larger
-        nodes[0], heights[0], held = 1, levels, 1
-        while held > 0:
-            held -= 1
-            node, level = nodes[held], heights[held]
-            cell = (node << level) - cells
-            low = _fraction(edges[row, cell], start, extent, zero, one)
-            high = _fraction(edges[row, cell + (1 << level)], start, extent, zero, one)
-            if low == high:
-                continue
-            enter, leave = min(low, high), max(low, high)
-            enter_depth, leave_depth = shallow + enter * slope, shallow + leave * slope
-            if max(enter_depth, leave_depth) <= minimum[row, node]:
-                total = _put(found, total, enter, leave, total > begun)
-            elif min(enter_depth, leave_depth) <= maximum[row, node]:
-                if level > 0:
-                    backwards = extent < zero
-                    nodes[held] = 2 * node + (0 if backwards else 1)
-                    nodes[held + 1] = 2 * node + (1 if backwards else 0)
-                    heights[held] = heights[held + 1] = level - 1
-                    held += 2
-                    continue
-                crossing = min(max((minimum[row, node] - shallow) / slope, enter), leave)
-                if enter_depth <= minimum[row, node]:
-                    leave = crossing
-                else:
-                    enter = crossing
-                if leave > enter:
-                    total = _put(found, total, enter, leave, total > begun)
-        counts[n] = total - begun
+        row, before = slices[n], total
+        found = with_room(found, total, edges.shape[1])
+        total = walk_ray(edges[row], minimum[row], maximum[row], levels, ends, n, zero, one, nodes, found, total)
+        counts[n] = total - before
     return found[:total].copy()
 
 
@@ -109,6 +139,20 @@ def walk_down(tree: MinMaxTree, rays: SliceRays) -> LitIntervals:
         parts[first] = _walk(edges, minimum, maximum, ends, slices, levels, zero, one, counts, first, last)
 
     run_in_threads(work, len(slices), CHUNK)
-    stretches = torch.from_numpy(np.concatenate([parts[first] for first in sorted(parts)] or [ends[:2].T[:0]]))
-    ray = torch.repeat_interleave(torch.arange(len(slices)), torch.from_numpy(counts))
-    return LitIntervals(ray, stretches[:, 0].contiguous(), stretches[:, 1].contiguous(), len(slices))
+    return collect(parts, counts, edges.dtype)
+
+
+def collect(parts: dict[int, Row], counts: NDArray[np.int64], dtype: Any) -> LitIntervals:
+    """Stretches of rays from those of chunks.
+
+    Args:
+        parts: stretches `(interval, 2)` of each chunk by its first ray.
+        counts: number of stretches of each ray.
+        dtype: of the stretches, for no chunks at all.
+
+    Returns:
+        The stretches of all rays.
+    """
+    stretches = torch.from_numpy(np.concatenate([parts[first] for first in sorted(parts)] or [np.empty((0, 2), dtype)]))
+    ray = torch.repeat_interleave(torch.arange(len(counts)), torch.from_numpy(counts))
+    return LitIntervals(ray, stretches[:, 0].contiguous(), stretches[:, 1].contiguous(), len(counts))
