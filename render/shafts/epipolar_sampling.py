@@ -145,17 +145,15 @@ def build_epipolar_sampling(
     log_depth = compute_log_depth(depth)
     located, nearest, farthest = _locate_pixels(lines, depth)
     dense = _lay_samples(lines, nearest, farthest, settings.sample_gap)
-    x, y = (dense.points[:, axis].floor().long() for axis in (0, 1))
-    under = y.clamp(0, light.height - 1) * light.width + x.clamp(0, light.width - 1)
-    dense_log = log_depth.reshape(-1)[under]
+    dense_log = log_depth.reshape(-1)[dense.under]
     marched, neighbours, share = _choose_marched(dense, dense_log, settings)
     samples, weights = _weigh_pixels(dense, dense_log, log_depth.reshape(-1), located, settings.depth_tolerance)
     own = torch.nonzero(weights.sum(1) == 0.0)[:, 0]
     return EpipolarSampling(
         lines=lines,
-        points=dense.points.to(torch.float32),
+        points=dense.points,
         line=dense.line,
-        depth=depth.reshape(-1)[under],
+        depth=depth.reshape(-1)[dense.under],
         marched=marched,
         neighbours=neighbours,
         share=share,
@@ -192,9 +190,10 @@ def _locate_pixels(lines: EpipolarLines, depth: Tensor) -> tuple[Located, Tensor
 
 @dataclass(frozen=True, eq=False)
 class _Dense:
-    """Dense samples, line by line: q of the first of each line, their step in q, number, and number of the first."""
+    """Dense samples, line by line, and the pixels under them; q of the first of each line, their step in q, number, and first."""
 
     points: Tensor
+    under: Tensor
     line: Tensor
     start: Tensor
     step: Tensor
@@ -211,10 +210,17 @@ def _lay_samples(lines: EpipolarLines, nearest: Tensor, farthest: Tensor, gap: f
     count = torch.where(needed, torch.ceil(extent * speed / gap).long() + 1, 0)
     step = extent / (count - 1).clamp(min=1)
     first = count.cumsum(0) - count
+    if fused_loops_wanted(nearest):
+        from render.shafts.fused_epipolar import lay_points  # needs numba
+
+        return _Dense(*lay_points(lines, nearest, step, count), nearest, step, count, first)
     owner = torch.repeat_interleave(torch.arange(lines.lines, device=nearest.device), count)
     number = torch.arange(len(owner), device=nearest.device) - first[owner]
     points = lines.points_at(owner, nearest[owner] + number * step[owner])
-    return _Dense(points, owner, nearest, step, count, first)
+    width, height = lines.light.width, lines.light.height
+    column, row = points.floor().long().unbind(1)
+    under = row.clamp(0, height - 1) * width + column.clamp(0, width - 1)
+    return _Dense(points.to(torch.float32), under, owner, nearest, step, count, first)
 
 
 def _choose_marched(dense: _Dense, log_depth: Tensor, settings: EpipolarSettings) -> tuple[Tensor, Tensor, Tensor]:

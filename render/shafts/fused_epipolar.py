@@ -12,6 +12,9 @@ from render.shafts.epipolar import EpipolarLines
 ROWS = 16
 """Rows of the image of one call."""
 
+LINES = 64
+"""Lines of one call."""
+
 PIXELS = 1 << 15
 """Pixels or samples of one call."""
 
@@ -93,6 +96,46 @@ def locate_pixels(lines: EpipolarLines) -> tuple[tuple[Tensor, Tensor, Tensor], 
     farthest = np.maximum.reduce([span[1] for span in spans.values()])
     located = (torch.from_numpy(line), torch.from_numpy(fraction), torch.from_numpy(inward))
     return located, torch.from_numpy(nearest), torch.from_numpy(farthest)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _lay(
+    ends: Doubles, v: Doubles, start: Doubles, step: Doubles, count: Integers, offset: Integers, width: int, height: int,
+    points: Floats, under: Integers, line: Integers, first: int, last: int,
+) -> None:  # fmt: skip
+    """Samples of the lines from `first` to `last`."""
+    for j in range(first, last):
+        for k in range(count[j]):
+            n, q = offset[j] + k, start[j] + k * step[j]
+            x, y = ends[j, 0] - q * v[j, 0], ends[j, 1] - q * v[j, 1]
+            points[n, 0], points[n, 1], line[n] = x, y, j
+            column, row = int(np.floor(x)), int(np.floor(y))
+            under[n] = min(max(row, 0), height - 1) * width + min(max(column, 0), width - 1)
+
+
+def lay_points(lines: EpipolarLines, start: Tensor, step: Tensor, count: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """As the end of `epipolar_sampling._lay_samples`.
+
+    Args:
+        lines: the lines.
+        start, step: q of the first sample of each line, and between its samples `(line,)`.
+        count: number of samples of each line `(line,)`.
+
+    Returns:
+        Points `(sample, 2)` [pixels], the pixel under each and the line of each `(sample,)`.
+    """
+    total = int(count.sum())
+    points, under, line = np.empty((total, 2), np.float32), np.empty(total, np.int64), np.empty(total, np.int64)
+    offset = (count.cumsum(0) - count).numpy()
+    ends, v = lines.ends.numpy(), lines.light.outward(lines.ends).numpy()
+    arrays = (start.numpy(), step.numpy(), count.numpy(), offset)
+    width, height = lines.light.width, lines.light.height
+
+    def work(first: int, last: int) -> None:
+        _lay(ends, v, *arrays, width, height, points, under, line, first, last)
+
+    run_in_threads(work, lines.lines, LINES)
+    return torch.from_numpy(points), torch.from_numpy(under), torch.from_numpy(line)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
