@@ -102,6 +102,11 @@ class EpipolarSampling:
         image[self.own_pixels] = own_values
         return image
 
+    def interpolate_lines(self, marched_values: Tensor) -> Tensor:
+        """Values of all dense samples `(sample, channel)` from those of the marched ones `(marched, channel)`."""
+        before, after = (marched_values.index_select(0, side) for side in self.neighbours.unbind(1))
+        return torch.lerp(before, after, self.share.to(before.dtype)[:, None])
+
     def _interpolate(self, marched_values: Tensor) -> Tensor:
         if marched_values.dtype == torch.float32 and fused_loops_wanted(marched_values, self.share):
             from render.shafts.fused_epipolar import interpolate_pixels  # needs numba
@@ -109,8 +114,7 @@ class EpipolarSampling:
             return interpolate_pixels(
                 marched_values, self.neighbours, self.share, self.pixel_samples, self.pixel_weights
             )
-        before, after = (marched_values.index_select(0, side) for side in self.neighbours.unbind(1))
-        dense = torch.lerp(before, after, self.share.to(before.dtype)[:, None])
+        dense = self.interpolate_lines(marched_values)
         image = dense.new_empty(len(self.pixel_samples), dense.shape[1])
         for first in range(0, len(image), PIXELS_IN_FLIGHT):
             part = slice(first, first + PIXELS_IN_FLIGHT)
@@ -146,7 +150,8 @@ def build_epipolar_sampling(
     located, nearest, farthest = _locate_pixels(lines, depth)
     dense = _lay_samples(lines, nearest, farthest, settings.sample_gap)
     dense_log = log_depth.reshape(-1)[dense.under]
-    marched, neighbours, share = _choose_marched(dense, dense_log, settings)
+    marked = _choose_marched(dense, dense_log, settings)
+    neighbours, share = pair_samples(marked)
     samples, weights = _weigh_pixels(dense, dense_log, log_depth.reshape(-1), located, settings.depth_tolerance)
     own = torch.nonzero(weights.sum(1) == 0.0)[:, 0]
     return EpipolarSampling(
@@ -154,7 +159,7 @@ def build_epipolar_sampling(
         points=dense.points,
         line=dense.line,
         depth=depth.reshape(-1)[dense.under],
-        marched=marched,
+        marched=torch.nonzero(marked)[:, 0],
         neighbours=neighbours,
         share=share,
         pixel_samples=samples,
@@ -223,26 +228,39 @@ def _lay_samples(lines: EpipolarLines, nearest: Tensor, farthest: Tensor, gap: f
     return _Dense(points.to(torch.float32), under, owner, nearest, step, count, first)
 
 
-def _choose_marched(dense: _Dense, log_depth: Tensor, settings: EpipolarSettings) -> tuple[Tensor, Tensor, Tensor]:
-    """Dense samples to march, and for every dense sample the places of its marched neighbours and the share of the second."""
+def _choose_marched(dense: _Dense, log_depth: Tensor, settings: EpipolarSettings) -> Tensor:
+    """True for the dense samples to march `(sample,)`."""
     # Within one step of the scale no two depths differ by more than the tolerance, however slowly they drift.
     level = torch.floor(log_depth / math.log1p(settings.depth_tolerance))
-    if fused_loops_wanted(level):
-        from render.shafts.fused_epipolar import choose_marched  # needs numba
-
-        return choose_marched(level, dense.line, dense.first, settings.stride)
-    index = torch.arange(len(dense.line), device=dense.line.device)
-    number = index - dense.first[dense.line]
-    marked = (number % settings.stride == 0) | (number == dense.count[dense.line] - 1)
+    number = torch.arange(len(dense.line), device=dense.line.device) - dense.first[dense.line]
+    marked = number % settings.stride == 0
+    ends = dense.first + dense.count - 1
+    marked[ends[dense.count > 0]] = True
     broken = level[1:] != level[:-1]
     marked[1:] |= broken
     marked[:-1] |= broken
+    return marked
+
+
+def pair_samples(marked: Tensor) -> tuple[Tensor, Tensor]:
+    """Between which marched samples each dense one lies.
+
+    Args:
+        marked: True for the dense samples to march, among them the first and the last of each line `(sample,)`.
+
+    Returns:
+        `neighbours` and `share` of an `EpipolarSampling`.
+    """
+    if fused_loops_wanted(marked):
+        from render.shafts import fused_epipolar  # needs numba
+
+        return fused_epipolar.pair_samples(marked)
     marched = torch.nonzero(marked)[:, 0]
     before = marked.long().cumsum(0) - 1  # place of the last marched sample up to here
     after = torch.where(marked, before, before + 1)
     low, high = marched[before], marched[after]
-    share = (index - low).double() / (high - low).clamp(min=1)
-    return marched, torch.stack([before, after], dim=1).int(), share.to(torch.float32)
+    share = (torch.arange(len(marked), device=marked.device) - low).double() / (high - low).clamp(min=1)
+    return torch.stack([before, after], dim=1).int(), share.to(torch.float32)
 
 
 def _weigh_pixels(

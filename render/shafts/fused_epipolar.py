@@ -22,6 +22,7 @@ Doubles = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Integers = NDArray[np.int64]
 Places = NDArray[np.int32]
+Booleans = NDArray[np.bool_]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -139,24 +140,10 @@ def lay_points(lines: EpipolarLines, start: Tensor, step: Tensor, count: Tensor)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _choose(
-    level: Floats,
-    line: Integers,
-    first: Integers,
-    stride: int,
-    marked: NDArray[np.bool_],
-    neighbours: Places,
-    share: Floats,
-) -> int:
-    """Mark the samples to march and find the neighbours of each; the number of marked ones."""
-    count = len(line)
-    for n in range(count):
-        before = n > 0 and level[n] != level[n - 1]
-        after = n + 1 < count and level[n] != level[n + 1]
-        ends = n + 1 == count or line[n + 1] != line[n]
-        marked[n] = ends or before or after or (n - first[line[n]]) % stride == 0
+def _pair(marked: Booleans, neighbours: Places, share: Floats) -> None:
+    """Neighbours of each sample; the first and the last of each line are marked."""
     place, last = -1, 0
-    for n in range(count):
+    for n in range(len(marked)):
         if marked[n]:
             place += 1
             neighbours[n, 0], neighbours[n, 1], share[n] = place, place, 0.0
@@ -164,25 +151,20 @@ def _choose(
                 neighbours[between, 0], neighbours[between, 1] = place - 1, place
                 share[between] = (between - last) / (n - last)
             last = n
-    return place + 1
 
 
-def choose_marched(level: Tensor, line: Tensor, first: Tensor, stride: int) -> tuple[Tensor, Tensor, Tensor]:
-    """As `epipolar_sampling._choose_marched`.
+def pair_samples(marked: Tensor) -> tuple[Tensor, Tensor]:
+    """As `epipolar_sampling.pair_samples`.
 
     Args:
-        level: step of the logarithmic scale of depth of each dense sample `(sample,)`.
-        line: line of each `(sample,)`.
-        first: number of the first sample of each line `(line,)`.
-        stride: every so many samples one is marched.
+        marked: True for the samples to march `(sample,)`.
 
     Returns:
-        Marched samples, neighbours and shares, as in `EpipolarSampling`.
+        Neighbours and shares, as in `EpipolarSampling`.
     """
-    count = len(line)
-    marked, neighbours, share = np.empty(count, np.bool_), np.empty((count, 2), np.int32), np.empty(count, np.float32)
-    _choose(level.float().numpy(), line.numpy(), first.numpy(), stride, marked, neighbours, share)
-    return torch.nonzero(torch.from_numpy(marked))[:, 0], torch.from_numpy(neighbours), torch.from_numpy(share)
+    neighbours, share = np.empty((len(marked), 2), np.int32), np.empty(len(marked), np.float32)
+    _pair(marked.numpy(), neighbours, share)
+    return torch.from_numpy(neighbours), torch.from_numpy(share)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -248,6 +230,34 @@ def _join(values: Floats, neighbours: Places, share: Floats, dense: Floats, firs
         before, after = neighbours[n, 0], neighbours[n, 1]
         for c in range(values.shape[1]):
             dense[n, c] = values[before, c] + share[n] * (values[after, c] - values[before, c])
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _spread(dense: Floats, samples: Places, weights: Floats, spread: Floats, first: int, last: int) -> None:
+    for n in range(first, last):
+        spread[n] = 0.0
+        for c in range(dense.shape[1]):
+            least, most = np.inf, -np.inf
+            for k in range(4):
+                if weights[n, k] > 0.0:
+                    least, most = min(least, dense[samples[n, k], c]), max(most, dense[samples[n, k], c])
+            spread[n] = max(spread[n], most - least)
+
+
+def spread_of_pixels(dense: Tensor, samples: Tensor, weights: Tensor) -> Tensor:
+    """As `epipolar_refinement.spread_of_pixels`.
+
+    Args:
+        dense: values of the dense samples, float32 `(sample, channel)`.
+        samples, weights: as in `EpipolarSampling`.
+
+    Returns:
+        Largest difference of the samples that enter each pixel `(pixel,)`.
+    """
+    known, around, weighs = dense.contiguous().numpy(), samples.numpy(), weights.numpy()
+    spread = np.empty(len(around), np.float32)
+    run_in_threads(lambda first, last: _spread(known, around, weighs, spread, first, last), len(around), PIXELS)
+    return torch.from_numpy(spread)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
