@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from render.errors import ParameterError
+from render.fused import fused_loops_wanted
 from render.shafts.depth_edges import compute_log_depth, depth_gap
 
 TAP_COUNTS = (1, 2, 4, 8, 16, 32)
@@ -111,9 +112,10 @@ def fill_frame(
     log_depth = compute_log_depth(depth)
     step = math.log1p(depth_tolerance)
     in_rows = log_depth[rows]
+    across, down = _choose_taps(columns, frame.width, taps), _choose_taps(rows, frame.height, taps)
     known = torch.ones(marched.shape[:-1], dtype=torch.bool, device=depth.device)
-    wide, matched = _fill_along(1, marched, known, in_rows[:, columns], in_rows, columns, taps, step)
-    image, matched = _fill_along(0, wide, matched, in_rows, log_depth, rows, taps, step)
+    wide, matched = _fill_along(1, marched, known, in_rows[:, columns], in_rows, across, step)
+    image, matched = _fill_along(0, wide, matched, in_rows, log_depth, down, step)
     return FilledFrame(image, ~matched)
 
 
@@ -146,39 +148,54 @@ def _gaussian(offset: Tensor, taps: int) -> Tensor:
 _KERNELS: dict[int, Callable[[Tensor, int], Tensor]] = {1: _nearest, 2: _hat}
 
 
-def _fill_along(
-    axis: int,
-    values: Tensor,
-    valid: Tensor,
-    known_depth: Tensor,
-    wanted_depth: Tensor,
-    marched: Tensor,
-    taps: int,
-    step: float,
-) -> tuple[Tensor, Tensor]:
-    """One pass along an axis: values at the places `marched` of it become values at all places, and which of these are matched."""
-    size = wanted_depth.shape[axis]
+@dataclass(frozen=True, eq=False)
+class Taps:
+    """Which marched places enter each place along an axis.
+
+    Args:
+        number: numbers of the marched places `(place, tap)`, int64.
+        near: the first factor of their weights, 0 for those beyond the ends `(place, tap)`.
+        nearest: number of the marched place nearest to each place `(place,)`, int64.
+    """
+
+    number: Tensor
+    near: Tensor
+    nearest: Tensor
+
+
+def _choose_taps(marched: Tensor, size: int, taps: int) -> Taps:
     known = marched.to(torch.float32)
     place = torch.arange(size, device=marched.device, dtype=known.dtype)
     nearest = torch.searchsorted(0.5 * (known[1:] + known[:-1]), place)
     below = torch.searchsorted(known, place, right=True) - 1
     first = nearest if taps == 1 else below - (taps // 2 - 1)
     unit = known.diff()[below.clamp(0, len(known) - 2)] if len(known) > 1 else torch.ones_like(place)
+    number = first[:, None] + torch.arange(taps, device=marched.device)
+    inside = (number >= 0) & (number < len(known))
+    number = number.clamp(0, len(known) - 1)
+    offset = (place[:, None] - known[number]) / unit[:, None]
+    return Taps(number, torch.where(inside, _KERNELS.get(taps, _gaussian)(offset, taps), 0.0), nearest)
+
+
+def _fill_along(
+    axis: int, values: Tensor, valid: Tensor, known_depth: Tensor, wanted_depth: Tensor, taps: Taps, step: float
+) -> tuple[Tensor, Tensor]:
+    """One pass along an axis: marched values become values at all places, some of them matched by depth."""
+    if values.dtype == wanted_depth.dtype == torch.float32 and fused_loops_wanted(values, wanted_depth):
+        from render.shafts.fused_bilateral import fill_along  # needs numba
+
+        return fill_along(axis, values, valid, known_depth, wanted_depth, taps, step)
     along = [1, 1]
-    along[axis] = size
-    kernel = _KERNELS.get(taps, _gaussian)
+    along[axis] = wanted_depth.shape[axis]
     total = torch.zeros_like(wanted_depth)
     result = values.new_zeros(*wanted_depth.shape, values.shape[-1])
-    best = nearest.reshape(along).expand(wanted_depth.shape)
+    best = taps.nearest.reshape(along).expand(wanted_depth.shape)
     best_gap = torch.full_like(wanted_depth, torch.inf)
-    for tap in range(taps):
-        inside = (first + tap >= 0) & (first + tap < len(known))
-        number = (first + tap).clamp(0, len(known) - 1)
-        near = torch.where(inside, kernel((place - known[number]) / unit, taps), 0.0).reshape(along)
-        near = near * valid.index_select(axis, number)
+    for number, near in zip(taps.number.unbind(1), taps.near.unbind(1), strict=True):
+        weight = near.reshape(along) * valid.index_select(axis, number)
         gap = depth_gap(known_depth.index_select(axis, number), wanted_depth)
-        gap = torch.where(near > 0.0, gap, torch.inf)
-        weight = near * torch.exp(-0.5 * (gap / step).square())
+        gap = torch.where(weight > 0.0, gap, torch.inf)
+        weight = weight * torch.exp(-0.5 * (gap / step).square())
         total += weight
         result.addcmul_(weight[..., None].to(result.dtype), values.index_select(axis, number))
         best = torch.where(gap < best_gap, number.reshape(along), best)

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from render.errors import ParameterError
+from render.fused import fused_loops_wanted
 from render.shafts.depth_edges import compute_log_depth, depth_gap
 from render.shafts.epipolar import EpipolarLines, LightImage, arrange_lines
 
@@ -97,15 +98,29 @@ class EpipolarSampling:
                 f"{len(self.marched)} samples and {len(self.own_pixels)} pixels are to be marched, but values of "
                 f"{len(marched_values)} and {len(own_values)} came"
             )
+        image = self._interpolate(marched_values)
+        image[self.own_pixels] = own_values
+        return image
+
+    def interpolate_lines(self, marched_values: Tensor) -> Tensor:
+        """Values of all dense samples `(sample, channel)` from those of the marched ones `(marched, channel)`."""
         before, after = (marched_values.index_select(0, side) for side in self.neighbours.unbind(1))
-        dense = torch.lerp(before, after, self.share.to(before.dtype)[:, None])
+        return torch.lerp(before, after, self.share.to(before.dtype)[:, None])
+
+    def _interpolate(self, marched_values: Tensor) -> Tensor:
+        if marched_values.dtype == torch.float32 and fused_loops_wanted(marched_values, self.share):
+            from render.shafts.fused_epipolar import interpolate_pixels  # needs numba
+
+            return interpolate_pixels(
+                marched_values, self.neighbours, self.share, self.pixel_samples, self.pixel_weights
+            )
+        dense = self.interpolate_lines(marched_values)
         image = dense.new_empty(len(self.pixel_samples), dense.shape[1])
         for first in range(0, len(image), PIXELS_IN_FLIGHT):
             part = slice(first, first + PIXELS_IN_FLIGHT)
             weights = self.pixel_weights[part].to(dense.dtype)
             rows = dense.index_select(0, self.pixel_samples[part].reshape(-1)).reshape(-1, 4, dense.shape[1])
             image[part] = (weights[:, :, None] * rows).sum(1)
-        image[self.own_pixels] = own_values
         return image
 
 
@@ -132,22 +147,19 @@ def build_epipolar_sampling(
         )
     lines = arrange_lines(light, settings.line_gap)
     log_depth = compute_log_depth(depth)
-    line, fraction, inward = _locate_pixels(lines, depth.device)
-    dense = _lay_samples(lines, line, inward, settings.sample_gap)
-    x, y = (dense.points[:, axis].floor().long() for axis in (0, 1))
-    under = y.clamp(0, light.height - 1) * light.width + x.clamp(0, light.width - 1)
-    dense_log = log_depth.reshape(-1)[under]
-    marched, neighbours, share = _choose_marched(dense, dense_log, settings)
-    samples, weights = _weigh_pixels(
-        dense, dense_log, log_depth.reshape(-1), (line, fraction, inward), settings.depth_tolerance
-    )
+    located, nearest, farthest = _locate_pixels(lines, depth)
+    dense = _lay_samples(lines, nearest, farthest, settings.sample_gap)
+    dense_log = log_depth.reshape(-1)[dense.under]
+    marked = _choose_marched(dense, dense_log, settings)
+    neighbours, share = pair_samples(marked)
+    samples, weights = _weigh_pixels(dense, dense_log, log_depth.reshape(-1), located, settings.depth_tolerance)
     own = torch.nonzero(weights.sum(1) == 0.0)[:, 0]
     return EpipolarSampling(
         lines=lines,
-        points=dense.points.to(torch.float32),
+        points=dense.points,
         line=dense.line,
-        depth=depth.reshape(-1)[under],
-        marched=marched,
+        depth=depth.reshape(-1)[dense.under],
+        marched=torch.nonzero(marked)[:, 0],
         neighbours=neighbours,
         share=share,
         pixel_samples=samples,
@@ -156,23 +168,37 @@ def build_epipolar_sampling(
     )
 
 
-def _locate_pixels(lines: EpipolarLines, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """`lines.locate` of all pixel centres, row by row."""
+Located = tuple[Tensor, Tensor, Tensor]
+"""What `EpipolarLines.locate` says of all pixels, row by row."""
+
+
+def _locate_pixels(lines: EpipolarLines, depth: Tensor) -> tuple[Located, Tensor, Tensor]:
+    """Where all pixels lie, and the least and greatest q that each line is needed for `(line,)`."""
+    if fused_loops_wanted(depth):
+        from render.shafts.fused_epipolar import locate_pixels  # needs numba
+
+        return locate_pixels(lines)
     width, count = lines.light.width, lines.light.width * lines.light.height
     parts = []
     for first in range(0, count, PIXELS_IN_FLIGHT):
-        number = torch.arange(first, min(first + PIXELS_IN_FLIGHT, count), device=device)
+        number = torch.arange(first, min(first + PIXELS_IN_FLIGHT, count), device=depth.device)
         column, row = number % width, number // width
         parts.append(lines.locate(torch.stack([column, row], dim=1).double() + 0.5))
     line, fraction, inward = (torch.cat(part) for part in zip(*parts, strict=True))
-    return line, fraction, inward
+    nearest = inward.new_full((lines.lines,), torch.inf)
+    farthest = inward.new_full((lines.lines,), -torch.inf)
+    for neighbour in (line, line + 1):
+        nearest.scatter_reduce_(0, neighbour, inward, "amin")
+        farthest.scatter_reduce_(0, neighbour, inward, "amax")
+    return (line, fraction, inward), nearest, farthest
 
 
 @dataclass(frozen=True, eq=False)
 class _Dense:
-    """Dense samples, line by line: q of the first of each line, their step in q, number, and number of the first."""
+    """Dense samples, line by line, and the pixels under them; q of the first of each line, their step in q, number, and first."""
 
     points: Tensor
+    under: Tensor
     line: Tensor
     start: Tensor
     step: Tensor
@@ -180,49 +206,72 @@ class _Dense:
     first: Tensor
 
 
-def _lay_samples(lines: EpipolarLines, line: Tensor, inward: Tensor, gap: float) -> _Dense:
+def _lay_samples(lines: EpipolarLines, nearest: Tensor, farthest: Tensor, gap: float) -> _Dense:
     """Samples over the stretch of each line that the pixels on either side of it need, its ends included."""
-    nearest = inward.new_full((lines.lines,), torch.inf)
-    farthest = inward.new_full((lines.lines,), -torch.inf)
-    for neighbour in (line, line + 1):
-        nearest.scatter_reduce_(0, neighbour, inward, "amin")
-        farthest.scatter_reduce_(0, neighbour, inward, "amax")
     needed = farthest >= nearest
     nearest = torch.where(needed, nearest, 0.0)
     extent = torch.where(needed, farthest - nearest, 0.0)
-    speed = torch.linalg.vector_norm(lines.light.outward(lines.ends.to(inward.device)), dim=1)
+    speed = torch.linalg.vector_norm(lines.light.outward(lines.ends.to(nearest.device)), dim=1)
     count = torch.where(needed, torch.ceil(extent * speed / gap).long() + 1, 0)
     step = extent / (count - 1).clamp(min=1)
     first = count.cumsum(0) - count
-    owner = torch.repeat_interleave(torch.arange(lines.lines, device=inward.device), count)
-    number = torch.arange(len(owner), device=inward.device) - first[owner]
+    if fused_loops_wanted(nearest):
+        from render.shafts.fused_epipolar import lay_points  # needs numba
+
+        return _Dense(*lay_points(lines, nearest, step, count), nearest, step, count, first)
+    owner = torch.repeat_interleave(torch.arange(lines.lines, device=nearest.device), count)
+    number = torch.arange(len(owner), device=nearest.device) - first[owner]
     points = lines.points_at(owner, nearest[owner] + number * step[owner])
-    return _Dense(points, owner, nearest, step, count, first)
+    width, height = lines.light.width, lines.light.height
+    column, row = points.floor().long().unbind(1)
+    under = row.clamp(0, height - 1) * width + column.clamp(0, width - 1)
+    return _Dense(points.to(torch.float32), under, owner, nearest, step, count, first)
 
 
-def _choose_marched(dense: _Dense, log_depth: Tensor, settings: EpipolarSettings) -> tuple[Tensor, Tensor, Tensor]:
-    """Dense samples to march, and for every dense sample the places of its marched neighbours and the share of the second."""
-    index = torch.arange(len(dense.line), device=dense.line.device)
-    number = index - dense.first[dense.line]
-    marked = (number % settings.stride == 0) | (number == dense.count[dense.line] - 1)
+def _choose_marched(dense: _Dense, log_depth: Tensor, settings: EpipolarSettings) -> Tensor:
+    """True for the dense samples to march `(sample,)`."""
     # Within one step of the scale no two depths differ by more than the tolerance, however slowly they drift.
     level = torch.floor(log_depth / math.log1p(settings.depth_tolerance))
+    number = torch.arange(len(dense.line), device=dense.line.device) - dense.first[dense.line]
+    marked = number % settings.stride == 0
+    ends = dense.first + dense.count - 1
+    marked[ends[dense.count > 0]] = True
     broken = level[1:] != level[:-1]
     marked[1:] |= broken
     marked[:-1] |= broken
+    return marked
+
+
+def pair_samples(marked: Tensor) -> tuple[Tensor, Tensor]:
+    """Between which marched samples each dense one lies.
+
+    Args:
+        marked: True for the dense samples to march, among them the first and the last of each line `(sample,)`.
+
+    Returns:
+        `neighbours` and `share` of an `EpipolarSampling`.
+    """
+    if fused_loops_wanted(marked):
+        from render.shafts import fused_epipolar  # needs numba
+
+        return fused_epipolar.pair_samples(marked)
     marched = torch.nonzero(marked)[:, 0]
-    place = marked.long().cumsum(0) - 1  # of the last marched sample up to here
-    before = place
-    after = torch.where(marked, place, place + 1)
+    before = marked.long().cumsum(0) - 1  # place of the last marched sample up to here
+    after = torch.where(marked, before, before + 1)
     low, high = marched[before], marched[after]
-    share = (index - low).double() / (high - low).clamp(min=1)
-    return marched, torch.stack([before, after], dim=1).int(), share.to(torch.float32)
+    share = (torch.arange(len(marked), device=marked.device) - low).double() / (high - low).clamp(min=1)
+    return torch.stack([before, after], dim=1).int(), share.to(torch.float32)
 
 
 def _weigh_pixels(
-    dense: _Dense, dense_log: Tensor, pixel_log: Tensor, located: tuple[Tensor, Tensor, Tensor], tolerance: float
+    dense: _Dense, dense_log: Tensor, pixel_log: Tensor, located: Located, tolerance: float
 ) -> tuple[Tensor, Tensor]:
     """The four dense samples around each pixel and their weights, those across an edge left out."""
+    gap = math.log1p(tolerance)
+    if fused_loops_wanted(dense_log, pixel_log):
+        from render.shafts.fused_epipolar import weigh_pixels  # needs numba
+
+        return weigh_pixels(dense.start, dense.step, dense.count, dense.first, dense_log, pixel_log, located, gap)
     samples, weights = [], []
     for line, fraction, inward, log_depth in zip(
         *(whole.split(PIXELS_IN_FLIGHT) for whole in (*located, pixel_log)), strict=True
@@ -238,7 +287,7 @@ def _weigh_pixels(
             around += [first + low, first + torch.minimum(low + 1, last)]
             share += [across * (1.0 - along), across * along]
         number, weight = torch.stack(around, dim=1), torch.stack(share, dim=1)
-        same = depth_gap(dense_log[number], log_depth[:, None]) <= math.log1p(tolerance)
+        same = depth_gap(dense_log[number], log_depth[:, None]) <= gap
         weight = torch.where(same, weight, 0.0)
         total = weight.sum(1, keepdim=True)
         samples.append(number.int())

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from render.errors import ParameterError
+from render.fused import fused_loops_wanted
 
 PIXELS_IN_FLIGHT = 1 << 16
 """Pixels looked up at once: their eight rows of the tables stay near the cache."""
@@ -109,8 +110,8 @@ def look_up_froxels(volume: FroxelVolume, columns: Tensor, rows: Tensor, distanc
 
     Args:
         volume: the tables.
-        columns, rows: where the pixels lie in the volume `(pixel,)`, in cells, 0.5 in the middle of the first; interpolated
-            linearly between the middles of columns and held beyond the outer ones.
+        columns, rows: where the pixels lie in the volume `(pixel,)`, in cells, 0.5 in the middle of the first; the tables are
+            interpolated linearly between the middles of columns and held beyond the outer ones.
         distance: from the eye to the surface `(pixel,)` [m], at least 0, infinite for the sky. Nothing lies before the first and
             behind the last distance of the cells.
 
@@ -123,6 +124,11 @@ def look_up_froxels(volume: FroxelVolume, columns: Tensor, rows: Tensor, distanc
     """
     if not columns.shape == rows.shape == distance.shape or distance.ndim != 1 or not bool((distance >= 0.0).all()):
         raise ParameterError("look-ups need one column, row and distance of at least 0 m each for every pixel")
+    tensors = (volume.edges, volume.in_scattering, volume.optical_depth, columns, rows, distance)
+    if all(tensor.dtype == torch.float32 for tensor in tensors) and fused_loops_wanted(*tensors):
+        from render.shafts.fused_froxel_volume import look_up_pixels  # needs numba
+
+        return look_up_pixels(*tensors)
     light = volume.in_scattering.new_empty(len(distance), volume.in_scattering.shape[3])
     through = volume.optical_depth.new_empty(len(distance), volume.optical_depth.shape[3])
     for first in range(0, len(distance), PIXELS_IN_FLIGHT):
@@ -139,18 +145,16 @@ def _look_up(volume: FroxelVolume, columns: Tensor, rows: Tensor, distance: Tens
     _, height, width, channels = volume.in_scattering.shape
     lights = volume.in_scattering.reshape(-1, channels)
     depths = volume.optical_depth.reshape(-1, volume.optical_depth.shape[3])
-    light = lights.new_zeros(len(distance), channels)
-    through = depths.new_zeros(len(distance), depths.shape[1])
+    before, depth = (table.new_zeros(len(distance), table.shape[1]) for table in (lights, depths))
+    after, end = torch.zeros_like(before), torch.zeros_like(depth)
     for column, row, weight in _corners(columns, rows, width, height):
         place = (cell * height + row) * width + column
-        before, after = (lights.index_select(0, side) for side in (place, place + height * width))
-        depth, end = (depths.index_select(0, side) for side in (place, place + height * width))
-        passed = fraction * (end - depth)
-        # Part of the light of the cell that its first part sends: (1 - exp(-f x)) / (1 - exp(-x)).
-        share = fraction * mean_transmittance(passed) / mean_transmittance(end - depth)
-        light += weight[:, None] * torch.lerp(before, after, share.expand_as(before))
-        through += weight[:, None] * torch.exp(-(depth + passed))
-    return light, through
+        for total, table, shift in ((before, lights, 0), (after, lights, 1), (depth, depths, 0), (end, depths, 1)):
+            total += weight[:, None] * table.index_select(0, place + shift * height * width)
+    passed = fraction * (end - depth)
+    # Part of the light of the cell that its first part sends: (1 - exp(-f x)) / (1 - exp(-x)).
+    share = fraction * mean_transmittance(passed) / mean_transmittance(end - depth)
+    return torch.lerp(before, after, share.expand_as(before)), torch.exp(-(depth + passed))
 
 
 def _corners(columns: Tensor, rows: Tensor, width: int, height: int) -> list[tuple[Tensor, Tensor, Tensor]]:

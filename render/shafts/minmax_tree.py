@@ -14,12 +14,14 @@ Equal to a linear scan in every bit, because the depth of a ray at an edge is co
 monotone: what holds at the ends of a node holds at all edges between them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from render.errors import ParameterError
+from render.fused import fused_loops_wanted
 from render.shafts.lit_intervals import LitIntervals, join_touching
 
 RAYS_IN_FLIGHT = 1 << 16
@@ -36,12 +38,18 @@ class MinMaxTree:
     Args:
         edges: places that bound the cells `(slice, cell + 1)`; the first and the last are infinite, for outside of the map
             nothing casts a shadow.
-        minimum, maximum: of 2^level cells, the finest level first, each `(slice, cell / 2^level)`.
+        minimum, maximum: depths of all nodes `(slice, 2 cell)`: the root at 1, the halves of node n at 2 n and 2 n + 1, so
+            that the cells come last; 0 is not used. The number of cells is a power of two.
     """
 
     edges: Tensor
-    minimum: tuple[Tensor, ...]
-    maximum: tuple[Tensor, ...]
+    minimum: Tensor
+    maximum: Tensor
+
+    @property
+    def cells(self) -> int:
+        """Cells of a slice, those outside of the map included."""
+        return self.edges.shape[1] - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,14 +132,19 @@ def build_minmax_tree(depths: Tensor, edges: Tensor | None = None) -> MinMaxTree
     pad = torch.nn.functional.pad
     edges = pad(pad(edges, (1, 0), value=-torch.inf), (0, missing), value=torch.inf)
     border = pad(pad(depths, (1, 0), value=torch.inf), (0, 1), value=torch.inf)
-    minimum, maximum = (
-        [pad(border, (0, missing - 1), value=torch.inf)],
-        [pad(border, (0, missing - 1), value=-torch.inf)],
-    )
-    while minimum[-1].shape[1] > 1:
-        minimum.append(minimum[-1].unflatten(1, (-1, 2)).amin(2))
-        maximum.append(maximum[-1].unflatten(1, (-1, 2)).amax(2))
-    return MinMaxTree(edges.contiguous(), tuple(minimum), tuple(maximum))
+    minimum = _fill_nodes(pad(border, (0, missing - 1), value=torch.inf), torch.minimum)
+    maximum = _fill_nodes(pad(border, (0, missing - 1), value=-torch.inf), torch.maximum)
+    return MinMaxTree(edges.contiguous(), minimum, maximum)
+
+
+def _fill_nodes(leaves: Tensor, better: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
+    cells = leaves.shape[1]
+    nodes = torch.cat([torch.zeros_like(leaves), leaves], dim=1)
+    while cells > 1:
+        pairs = nodes[:, cells : 2 * cells].unflatten(1, (-1, 2))
+        cells //= 2
+        nodes[:, cells : 2 * cells] = better(pairs[..., 0], pairs[..., 1])
+    return nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +183,12 @@ def find_lit_intervals(tree: MinMaxTree, rays: SliceRays) -> LitIntervals:
         ParameterError: for a ray of a slice that the tree does not have.
     """
     _check_slices(tree, rays)
+    ends = (rays.start_place, rays.end_place, rays.start_depth, rays.end_depth)
+    same = all(number.dtype == tree.edges.dtype == tree.minimum.dtype for number in ends)
+    if same and fused_loops_wanted(tree.edges, tree.minimum, *ends):
+        from render.shafts.fused_minmax_tree import walk_down  # needs numba
+
+        return walk_down(tree, rays)
     found: list[tuple[Tensor, Tensor, Tensor]] = []
     count = len(rays.slice_number)
     for first in range(0, count, RAYS_IN_FLIGHT):
@@ -181,7 +200,7 @@ def find_lit_intervals(tree: MinMaxTree, rays: SliceRays) -> LitIntervals:
 def scan_lit_intervals(tree: MinMaxTree, rays: SliceRays) -> LitIntervals:
     """The same by trying every ray against every cell of its slice: the reference that the tree is equal to."""
     _check_slices(tree, rays)
-    cells = tree.minimum[0].shape[1]
+    cells = tree.cells
     count, chunk = len(rays.slice_number), max(1, CELLS_IN_FLIGHT // cells)
     found = []
     for first in range(0, count, chunk):
@@ -212,11 +231,11 @@ def _walk_down(tree: MinMaxTree, rays: SliceRays) -> list[tuple[Tensor, Tensor, 
     lit = []
     ray = torch.arange(len(rays.slice_number), device=tree.edges.device)
     node = torch.zeros_like(ray)
-    for level in range(len(tree.minimum) - 1, 0, -1):
+    for level in range(tree.cells.bit_length() - 1, 0, -1):
         run = _measure(tree, rays, ray, node, level)
-        row = rays.slice_number[run.ray]
-        whole = torch.maximum(run.enter_depth, run.leave_depth) <= tree.minimum[level][row, run.node]
-        dark = torch.minimum(run.enter_depth, run.leave_depth) > tree.maximum[level][row, run.node]
+        place = rays.slice_number[run.ray], (tree.cells >> level) + run.node
+        whole = torch.maximum(run.enter_depth, run.leave_depth) <= tree.minimum[place]
+        dark = torch.minimum(run.enter_depth, run.leave_depth) > tree.maximum[place]
         lit.append((run.ray[whole], run.enter[whole], run.leave[whole]))
         mixed = run.chosen(~(whole | dark))
         ray = mixed.ray.repeat_interleave(2)
@@ -238,7 +257,7 @@ def _measure(tree: MinMaxTree, rays: SliceRays, ray: Tensor, node: Tensor, level
 
 def _cut_leaves(tree: MinMaxTree, rays: SliceRays, run: _Stretches) -> tuple[Tensor, Tensor, Tensor]:
     """Lit part of each run of one cell: all of it, none, or up to or from where the ray passes the cell's depth."""
-    depth = tree.minimum[0][rays.slice_number[run.ray], run.node]
+    depth = tree.minimum[rays.slice_number[run.ray], tree.cells + run.node]
     enters_lit, leaves_lit = run.enter_depth <= depth, run.leave_depth <= depth
     start_depth = rays.start_depth[run.ray]
     slope = rays.end_depth[run.ray] - start_depth

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from render.errors import ParameterError
+from render.fused import torch_loops_only
 from render.random_streams import child_generator
 from render.shafts.lit_intervals import LitIntervals
 from render.shafts.minmax_tree import SliceRays, build_minmax_tree, find_lit_intervals, scan_lit_intervals
@@ -106,14 +107,16 @@ def test_the_tree_equals_the_linear_scan(seed: int, cells: int, dtype: torch.dty
         rays.slice_number, *(n.to(dtype) for n in (rays.start_place, rays.end_place, rays.start_depth, rays.end_depth))
     )
     tree = build_minmax_tree(profiles, edges)
-    assert_equal(find_lit_intervals(tree, rays), scan_lit_intervals(tree, rays))
+    with torch_loops_only():
+        assert_equal(find_lit_intervals(tree, rays), scan_lit_intervals(tree, rays))
 
 
 def test_the_tree_equals_the_linear_scan_on_10_000_profiles() -> None:
     generator = child_generator(6)
     tree = build_minmax_tree(draw_profiles(10_000, 37, generator))
     rays = draw_rays(30_000, 10_000, 37, generator)
-    found = find_lit_intervals(tree, rays)
+    with torch_loops_only():
+        found = find_lit_intervals(tree, rays)
     assert_equal(found, scan_lit_intervals(tree, rays))
     assert 0.2 < float(found.lit_fraction().mean()) < 0.8
     assert not bool((found.end <= found.start).any())
