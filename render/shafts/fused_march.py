@@ -14,11 +14,16 @@ from render.media import ExponentialDecay, LinearDecay, Uniform
 from render.shafts.air import Air
 from render.shafts.cube_shadow_map import CubeShadowMap
 from render.shafts.lights import Lighting
+from render.shafts.march import ShadowLooks
 from render.shafts.rays import ViewRays
 from render.shafts.shadow_map import ShadowMap
 
 CHUNK = 1 << 10
 """Rays of one call."""
+
+# Numba counts references to every array that passes through a function, with locked instructions that cost more than the arithmetic here.
+# These functions only use arrays of their callers, so they do without.
+loop = njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 
 Doubles = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -26,10 +31,8 @@ Floats = NDArray[np.float32]
 KINDS = {Uniform: 0.0, LinearDecay: 1.0, ExponentialDecay: 2.0}
 """Numbers of the profiles."""
 
-HALF = np.float32(0.5)
 
-
-@njit(nogil=True, cache=True, error_model="numpy")
+@loop
 def _moment(x: float) -> float:
     """(1 - exp(-x)) / x for x of at least 0; the series is exact to 1e-11 where it is used."""
     if x < 0.06:
@@ -37,14 +40,14 @@ def _moment(x: float) -> float:
     return (1.0 - np.exp(-x)) / x
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@loop
 def _mean_exponential(first: float, last: float) -> float:
     """As `exponential_mean`."""
     low = min(first, last)
     return 0.0 if low > 700.0 else np.exp(-low) * _moment(abs(last - first))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@loop
 def _arc(x: float) -> float:
     """atan(x) / x for x of at least 0; the series is exact to 1e-9 where it is used."""
     if x < 0.15:
@@ -53,7 +56,7 @@ def _arc(x: float) -> float:
     return np.arctan(x) / x
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@loop
 def _grey_depth(layers: Doubles, m: int, first: float, last: float, length: float) -> float:
     """Optical depth of a part of a ray between two heights through one layer."""
     kind, extinction, base, top = layers[m, 0], layers[m, 1], layers[m, 2], layers[m, 3]
@@ -61,7 +64,9 @@ def _grey_depth(layers: Doubles, m: int, first: float, last: float, length: floa
     if high < base or low > top or extinction == 0.0:
         return 0.0
     inner_low, inner_high = max(low, base), min(high, top)
-    part = length if high == low else length * ((inner_high - inner_low) / (high - low))
+    part = length
+    if low < base or high > top:
+        part *= (inner_high - inner_low) / (high - low)
     if kind == 0.0:
         return extinction * part
     if kind == 1.0:
@@ -70,7 +75,7 @@ def _grey_depth(layers: Doubles, m: int, first: float, last: float, length: floa
     return extinction * part * np.exp((reference - inner_low) / scale) * _moment((inner_high - inner_low) / scale)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@loop
 def _look_up_depth(table: Doubles, lowest: float, spacing: float, height: float, found: Doubles) -> None:
     """As `SunDepthTable.look_up`, into as many channels as `found` has."""
     last = len(table) - 1
@@ -82,18 +87,16 @@ def _look_up_depth(table: Doubles, lowest: float, spacing: float, height: float,
         found[c] = max(near, far) if max(near, far) > 1e300 else near + share * (far - near)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def _sees_sun(axes: Floats, lower: Floats, texel: float, tops: Floats, x: float, y: float, z: float) -> bool:
-    """As `ShadowMap.look_up_lit`, for one point."""
-    u = (x * axes[0, 0] + y * axes[0, 1] + z * axes[0, 2] - lower[0]) / texel
-    v = (x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2] - lower[1]) / texel
+@loop
+def _sees_sun(tops: Floats, u: float, v: float, w: float) -> bool:
+    """As `ShadowMap.look_up_lit`, at place (u, v) [texel] of the map and w along its third axis."""
     if not (u >= 0.0 and v >= 0.0 and u < tops.shape[1] and v < tops.shape[0]):
         return True
-    return x * axes[2, 0] + y * axes[2, 1] + z * axes[2, 2] >= tops[int(v), int(u)]
+    return w >= tops[int(v), int(u)]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def _sees_lamp(cubes: Floats, k: int, dx: float, dy: float, dz: float, distance: float) -> bool:
+@loop
+def _sees_lamp(cubes: Floats, k: int, dx: float, dy: float, dz: float) -> bool:
     """As `CubeShadowMap.look_up_lit`, for one offset from the light."""
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
@@ -107,10 +110,77 @@ def _sees_lamp(cubes: Floats, k: int, dx: float, dy: float, dz: float, distance:
     size = cubes.shape[2]
     column = min(max(int((0.5 + 0.5 * first / abs(main)) * size), 0), size - 1)
     row = min(max(int((0.5 + 0.5 * second / abs(main)) * size), 0), size - 1)
-    return distance <= cubes[k, 2 * axis + (1 if main < 0.0 else 0), row, column]
+    first_surface = cubes[k, 2 * axis + (1 if main < 0.0 else 0), row, column]
+    return dx * dx + dy * dy + dz * dz <= float(first_surface) * float(first_surface)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+Line = tuple[float, float, float, float, float, float]
+"""A ray as a light sees it: three coordinates where it begins, and how they change along it."""
+
+
+@loop
+def _sun_share(tops: Floats, line: Line, begin: float, length: float, count: int, halvings: int) -> float:
+    """Lit share of one step of one ray, as `_lit_share` of the torch loop."""
+    u, v, w, du, dv, dw = line
+    total, part = 0.0, length / count
+    if halvings == 0:
+        for j in range(count):
+            t = begin + (j + 0.5) * part
+            total += 1.0 if _sees_sun(tops, u + t * du, v + t * dv, w + t * dw) else 0.0
+        return total / count
+    before = _sees_sun(tops, u + begin * du, v + begin * dv, w + begin * dw)
+    for j in range(count):
+        low = begin + j * part
+        high, t = low + part, low + part
+        after = _sees_sun(tops, u + t * du, v + t * dv, w + t * dw)
+        if before == after:
+            total += 1.0 if after else 0.0
+        else:
+            for _ in range(halvings):
+                t = 0.5 * (low + high)
+                if _sees_sun(tops, u + t * du, v + t * dv, w + t * dw) == before:
+                    low = t
+                else:
+                    high = t
+            border = (0.5 * (low + high) - begin) / part - j
+            total += border if before else 1.0 - border
+        before = after
+    return total / count
+
+
+@loop
+def _lamp_share(
+    cubes: Floats, k: int, line: Line, begin: float, length: float, count: int, halvings: int
+) -> float:
+    """The same for point light k."""
+    x, y, z, dx, dy, dz = line
+    total, part = 0.0, length / count
+    if halvings == 0:
+        for j in range(count):
+            t = begin + (j + 0.5) * part
+            total += 1.0 if _sees_lamp(cubes, k, x + t * dx, y + t * dy, z + t * dz) else 0.0
+        return total / count
+    before = _sees_lamp(cubes, k, x + begin * dx, y + begin * dy, z + begin * dz)
+    for j in range(count):
+        low = begin + j * part
+        high, t = low + part, low + part
+        after = _sees_lamp(cubes, k, x + t * dx, y + t * dy, z + t * dz)
+        if before == after:
+            total += 1.0 if after else 0.0
+        else:
+            for _ in range(halvings):
+                t = 0.5 * (low + high)
+                if _sees_lamp(cubes, k, x + t * dx, y + t * dy, z + t * dz) == before:
+                    low = t
+                else:
+                    high = t
+            border = (0.5 * (low + high) - begin) / part - j
+            total += border if before else 1.0 - border
+        before = after
+    return total / count
+
+
+@loop
 def _phase(asymmetry: float, cosine: float) -> float:
     """Henyey-Greenstein, or Rayleigh where the asymmetry is no number."""
     if np.isnan(asymmetry):
@@ -120,10 +190,10 @@ def _phase(asymmetry: float, cosine: float) -> float:
     return (1.0 - asymmetry * asymmetry) / (4.0 * np.pi) / (peak * np.sqrt(peak))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@loop
 def _lamp_step(
-    lamps: Doubles, closest: Doubles, cubes: Floats, k: int, layers: Doubles, rays: Floats, n: int, begin: float, end: float,
-    greys: Doubles, arriving: Doubles, light: Doubles,
+    lamps: Doubles, closest: Doubles, k: int, layers: Doubles, rays: Floats, n: int, begin: float, end: float,
+    greys: Doubles, arriving: Doubles, light: Doubles, share: float,
 ) -> None:  # fmt: skip
     """Add what one step scatters of one point light.
 
@@ -134,16 +204,16 @@ def _lamp_step(
     dy = rays[n, 1] + middle * rays[n, 4] - lamps[k, 1]
     dz = rays[n, 2] + middle * rays[n, 5] - lamps[k, 2]
     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-    if distance >= lamps[k, 7] or not _sees_lamp(cubes, k, dx, dy, dz, distance):
+    if distance >= lamps[k, 7]:
         return
     cosine = 0.0
     if distance > 0.0:
         cosine = min(max(-(dx * rays[n, 3] + dy * rays[n, 4] + dz * rays[n, 5]) / distance, -1.0), 1.0)
     u, w, aside = begin - closest[k, 0], end - closest[k, 0], closest[k, 1]
-    spread = _mean_inverse_square(u, w, aside)
+    spread = share * _mean_inverse_square(u, w, aside)
     if lamps[k, 7] < np.inf:
-        share = (distance / lamps[k, 7]) * (distance / lamps[k, 7])
-        spread *= (1.0 - share * share) * (1.0 - share * share)
+        square = (distance / lamps[k, 7]) * (distance / lamps[k, 7])
+        spread *= (1.0 - square * square) * (1.0 - square * square)
     channels = len(arriving)
     for c in range(channels):
         weight = depth = 0.0
@@ -160,7 +230,7 @@ def _lamp_step(
             light[2] += lamps[k, 5] * amount
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@loop
 def _mean_inverse_square(first: float, last: float, aside: float) -> float:
     """As `inverse_square_mean`, for a step that has a length."""
     below = aside + first * last
@@ -170,75 +240,133 @@ def _mean_inverse_square(first: float, last: float, aside: float) -> float:
     return np.arctan2(h * (last - first), below) / (h * (last - first))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def _march(
-    rays: Floats, edges: Floats, layers: Doubles, channels: int,
-    sun_phase: Floats, table: Doubles, heights: Doubles,
-    axes: Floats, lower: Floats, texel: float, tops: Floats, irradiance: Doubles,
-    lamps: Doubles, cubes: Floats, spent: float, found: Floats, first: int, last: int,
+Sunlight = tuple[Floats, Doubles, Doubles, Doubles]
+"""As of `_sun_arrays`."""
+Maps = tuple[Doubles, Floats, Doubles, Floats]
+"""Matrix and offset of the sun's map (3, 4), its tops, point lights and their cubes."""
+Work = tuple[Doubles, Doubles, Doubles, Doubles, Doubles, Doubles, Doubles, Doubles]
+"""Numbers of one ray: depth so far, depth and scattered depth of the step, depths to the sun at its ends, what arrives, greys, closest."""
+
+
+@loop
+def _measure_step(
+    layers: Doubles, phase: Floats, n: int, low: float, high: float, length: float,
+    step: Doubles, source: Doubles, greys: Doubles,
 ) -> None:  # fmt: skip
-    """All steps of the rays from `first` to `last`; one channel stands for all where the air is grey."""
-    count = len(layers)
-    light, greys, closest = np.zeros(3), np.zeros(3 * count), np.zeros((len(lamps), 2))
-    before, step, source, arriving = np.zeros(channels), np.zeros(channels), np.zeros(channels), np.zeros(channels)
-    sun_low, sun_high = np.zeros(channels), np.zeros(channels)
-    for n in range(first, last):
-        light[:] = 0.0
-        before[:] = 0.0
-        low, known = float(rays[n, 2]), False
-        for k in range(len(lamps)):
-            _nearest(lamps, k, rays, n, closest)
-        for i in range(edges.shape[1] - 1):
-            begin, end = edges[n, i], edges[n, i + 1]
-            if not end > begin:
-                continue
-            high = float(rays[n, 2]) + float(rays[n, 5]) * float(end)
-            middle = HALF * (end + begin)
-            x, y, z = (
-                rays[n, 0] + middle * rays[n, 3],
-                rays[n, 1] + middle * rays[n, 4],
-                rays[n, 2] + middle * rays[n, 5],
-            )
-            lit = len(irradiance) > 0 and _sees_sun(axes, lower, texel, tops, x, y, z)
-            step[:] = 0.0
-            source[:] = 0.0
-            for m in range(count):
-                grey = _grey_depth(layers, m, low, high, float(end - begin))
-                greys[m] = grey
-                for c in range(channels):
-                    step[c] += grey * layers[m, 6 + c]
-                    source[c] += grey * layers[m, 6 + c] * sun_phase[n, m]
-            if lit:
-                if not known:
-                    _look_up_depth(table, heights[0], heights[1], low, sun_low)
-                _look_up_depth(table, heights[0], heights[1], high, sun_high)
-                for c in range(channels):
-                    mean = _mean_exponential(before[c] + sun_low[c], before[c] + step[c] + sun_high[c])
-                    light[c] += irradiance[c] * source[c] * mean
-                    if channels == 1:
-                        light[1] += irradiance[1] * source[0] * mean
-                        light[2] += irradiance[2] * source[0] * mean
-                    sun_low[c] = sun_high[c]
-            known = lit
+    """Optical depth of a step by channel and constituent, and the part of it that scatters sunlight into the ray."""
+    # Written out: loops over three channels become vector code, whose preparation takes longer than they do.
+    red = green = blue = scattered_red = scattered_green = scattered_blue = 0.0
+    for m in range(len(layers)):
+        grey = _grey_depth(layers, m, low, high, length)
+        greys[m] = grey
+        scattered = grey * phase[n, m]
+        red += grey * layers[m, 6]
+        scattered_red += scattered * layers[m, 6]
+        if len(step) == 3:
+            green += grey * layers[m, 7]
+            scattered_green += scattered * layers[m, 7]
+            blue += grey * layers[m, 8]
+            scattered_blue += scattered * layers[m, 8]
+    step[0], source[0] = red, scattered_red
+    if len(step) == 3:
+        step[1], source[1], step[2], source[2] = green, scattered_green, blue, scattered_blue
+
+
+@loop
+def _sun_step(
+    table: Doubles, heights: Doubles, irradiance: Doubles, low: float, high: float, known: bool, lit: float,
+    before: Doubles, step: Doubles, source: Doubles, sun_low: Doubles, sun_high: Doubles, light: Doubles,
+) -> None:  # fmt: skip
+    """Add the sunlight of one step; `known` if the depth to the sun at its beginning is that at the end of the last one."""
+    if not known:
+        _look_up_depth(table, heights[0], heights[1], low, sun_low)
+    _look_up_depth(table, heights[0], heights[1], high, sun_high)
+    channels = len(step)
+    for c in range(channels):
+        mean = lit * _mean_exponential(before[c] + sun_low[c], before[c] + step[c] + sun_high[c])
+        light[c] += irradiance[c] * source[c] * mean
+        if channels == 1:
+            light[1] += irradiance[1] * source[0] * mean
+            light[2] += irradiance[2] * source[0] * mean
+        sun_low[c] = sun_high[c]
+
+
+@loop
+def _sun_line(frame: Doubles, rays: Floats, n: int) -> Line:
+    """A ray in the coordinates of the sun's map."""
+    x, y, z, dx, dy, dz = rays[n, 0], rays[n, 1], rays[n, 2], rays[n, 3], rays[n, 4], rays[n, 5]
+    return (
+        frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z + frame[0, 3],
+        frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z + frame[1, 3],
+        frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z + frame[2, 3],
+        frame[0, 0] * dx + frame[0, 1] * dy + frame[0, 2] * dz,
+        frame[1, 0] * dx + frame[1, 1] * dy + frame[1, 2] * dz,
+        frame[2, 0] * dx + frame[2, 1] * dy + frame[2, 2] * dz,
+    )
+
+
+@loop
+def _lamp_line(lamps: Doubles, k: int, rays: Floats, n: int) -> Line:
+    """A ray relative to point light k."""
+    x, y, z = rays[n, 0] - lamps[k, 0], rays[n, 1] - lamps[k, 1], rays[n, 2] - lamps[k, 2]
+    return x, y, z, float(rays[n, 3]), float(rays[n, 4]), float(rays[n, 5])
+
+
+@loop
+def _march_ray(
+    rays: Floats, edges: Floats, n: int, layers: Doubles, sun: Sunlight, maps: Maps,
+    deepest: float, count: int, halvings: int, work: Work, light: Doubles,
+) -> None:  # fmt: skip
+    """All steps of one ray."""
+    phase, table, heights, irradiance = sun
+    frame, tops, lamps, cubes = maps
+    before, step, source, sun_low, sun_high, arriving, greys, closest = work
+    for c in range(3):
+        light[c] = 0.0
+    for c in range(len(step)):
+        before[c] = 0.0
+    low, known, has_sun = float(rays[n, 2]), False, len(irradiance) > 0
+    for k in range(len(lamps)):
+        _nearest(lamps, k, rays, n, closest)
+    line = _sun_line(frame, rays, n)
+    for i in range(edges.shape[1] - 1):
+        begin, end = float(edges[n, i]), float(edges[n, i + 1])
+        high = float(rays[n, 2]) + float(rays[n, 5]) * end
+        _measure_step(layers, phase, n, low, high, end - begin, step, source, greys)
+        lit = 0.0
+        if has_sun and end > begin:
+            lit = _sun_share(tops, line, begin, end - begin, count, halvings)
+        if lit > 0.0:
+            _sun_step(table, heights, irradiance, low, high, known, lit, before, step, source, sun_low, sun_high, light)
+        known = lit > 0.0
+        least = np.inf
+        for c in range(len(step)):
             if len(lamps) > 0:
-                for c in range(channels):
-                    arriving[c] = _mean_exponential(before[c], before[c] + step[c])
-                for k in range(len(lamps)):
-                    _lamp_step(
-                        lamps, closest, cubes, k, layers, rays, n, float(begin), float(end), greys, arriving, light
-                    )
-            least = np.inf
-            for c in range(channels):
-                before[c] += step[c]
-                least = min(least, before[c])
-            low = high
-            if least > spent:
-                break
+                arriving[c] = _mean_exponential(before[c], before[c] + step[c])
+            before[c] += step[c]
+            least = min(least, before[c])
+        for k in range(len(lamps) if end > begin else 0):
+            share = _lamp_share(cubes, k, _lamp_line(lamps, k, rays, n), begin, end - begin, count, halvings)
+            if share > 0.0:
+                _lamp_step(lamps, closest, k, layers, rays, n, begin, end, greys, arriving, light, share)
+        low = high
+        if least > deepest:
+            break
+
+
+@loop
+def _march(
+    rays: Floats, edges: Floats, layers: Doubles, sun: Sunlight, maps: Maps, deepest: float, count: int, halvings: int,
+    work: Work, light: Doubles, found: Floats, first: int, last: int,
+) -> None:  # fmt: skip
+    """The rays from `first` to `last`; one channel stands for all where the air is grey."""
+    for n in range(first, last):
+        _march_ray(rays, edges, n, layers, sun, maps, deepest, count, halvings, work, light)
         for c in range(3):
             found[n, c] = light[c]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@loop
 def _nearest(lamps: Doubles, k: int, rays: Floats, n: int, closest: Doubles) -> None:
     """Where along a ray a light is nearest, and the squared distance there plus that of its radius."""
     x, y, z = lamps[k, 0] - rays[n, 0], lamps[k, 1] - rays[n, 1], lamps[k, 2] - rays[n, 2]
@@ -247,16 +375,25 @@ def _nearest(lamps: Doubles, k: int, rays: Floats, n: int, closest: Doubles) -> 
     closest[k, 0], closest[k, 1] = nearest, x * x + y * y + z * z + lamps[k, 6] * lamps[k, 6]
 
 
-def march_fused(air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spent: float) -> Tensor:
+def march_fused(air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spent: float, looks: ShadowLooks) -> Tensor:
     """In-scattered light `(ray, channel)`; see `render.shafts.march.march`."""
     announce_compilation("fused_march", str(Path(__file__).parent / "__pycache__"))
     found = torch.zeros(len(rays), 3)
     lines = torch.cat([rays.origin, rays.direction], dim=1).float().contiguous().numpy()
-    sun, lamps = _sun_arrays(air, lighting, rays), _lamp_arrays(lighting)
+    sun = _sun_arrays(air, lighting, rays)
+    maps = (*_map_arrays(lighting), *_lamp_arrays(lighting))
     grey = all(len(set(part.colour)) == 1 for part in air.constituents)
-    arrays = (lines, edges.contiguous().numpy(), _layer_array(air), 1 if grey else 3, *sun, *lamps)
-    out, deepest = found.numpy(), math.inf if spent <= 0.0 else -math.log(spent)
-    run_in_threads(lambda first, last: _march(*arrays, deepest, out, first, last), len(out), CHUNK)
+    channels, deepest = 1 if grey else 3, math.inf if spent <= 0.0 else -math.log(spent)
+    borders, layers, out = edges.contiguous().numpy(), _layer_array(air), found.numpy()
+
+    def work(first: int, last: int) -> None:
+        numbers = tuple(np.zeros(channels) for _ in range(6))
+        space = (*numbers, np.zeros(3 * len(layers)), np.zeros((len(maps[2]), 2)))
+        _march(
+            lines, borders, layers, sun, maps, deepest, looks.count, looks.halvings, space, np.zeros(3), out, first, last
+        )  # fmt: skip
+
+    run_in_threads(work, len(out), CHUNK)
     return found
 
 
@@ -272,26 +409,27 @@ def _layer_array(air: Air) -> Doubles:
     return rows
 
 
-def _sun_arrays(
-    air: Air, lighting: Lighting, rays: ViewRays
-) -> tuple[Floats, Doubles, Doubles, Floats, Floats, float, Floats, Doubles]:
-    """Phase functions `(ray, constituent)`, table of depths, its heights, the map's arrays, and the irradiance, empty without a sun."""
+def _sun_arrays(air: Air, lighting: Lighting, rays: ViewRays) -> tuple[Floats, Doubles, Doubles, Doubles]:
+    """Albedo times phase function `(ray, constituent)`, table of depths, its heights, and the irradiance: empty without a sun."""
     sun = lighting.sun
-    nowhere = (np.eye(3, dtype=np.float32), np.zeros(2, np.float32), 1.0, np.full((1, 1), -np.inf, np.float32))
     if sun is None:
-        phase = np.zeros((len(rays), len(air.constituents)), np.float32)
-        return phase, np.zeros((2, 3)), np.array([0.0, 1.0]), *nowhere, np.zeros(0)
+        phase = np.zeros((len(rays), len(air.constituents) + 1), np.float32)
+        return phase, np.zeros((2, 3)), np.array([0.0, 1.0]), np.zeros(0)
     cosine = (rays.direction @ rays.direction.new_tensor(sun.light.direction)).clamp(-1.0, 1.0)
     phases = [part.albedo * part.evaluate_phase(cosine) for part in air.constituents]
     phase = torch.stack([*phases, torch.zeros_like(cosine)], dim=1).contiguous().numpy()
-    table, heights = sun.depth.depths.numpy(), np.array([sun.depth.lowest, sun.depth.spacing])
-    seen = sun.visibility
-    maps = (
-        (seen.axes.numpy(), seen.lower.numpy(), seen.texel, seen.tops.numpy())
-        if isinstance(seen, ShadowMap)
-        else nowhere
-    )
-    return phase, table, heights, *maps, np.array(sun.light.irradiance)
+    heights = np.array([sun.depth.lowest, sun.depth.spacing])
+    return phase, sun.depth.depths.numpy(), heights, np.array(sun.light.irradiance)
+
+
+def _map_arrays(lighting: Lighting) -> tuple[Doubles, Floats]:
+    """Matrix and offset `(3, 4)` from positions to places in the sun's map, and its tops; or a map in which everything is lit."""
+    seen = None if lighting.sun is None else lighting.sun.visibility
+    if not isinstance(seen, ShadowMap):
+        return np.eye(3, 4), np.full((1, 1), -np.inf, np.float32)
+    scale = np.array([seen.texel, seen.texel, 1.0])[:, None]
+    offset = np.append(seen.lower.double().numpy(), 0.0)[:, None]
+    return np.hstack([seen.axes.double().numpy(), -offset]) / scale, seen.tops.numpy()
 
 
 def _lamp_arrays(lighting: Lighting) -> tuple[Doubles, Floats]:

@@ -95,6 +95,4 @@ def find_lit_parts(shadow_map: ShadowMap, slices: Slices, rays: ViewRays, slice_
     flat = rays.direction.double() @ axes[:2].T
     along = (flat * slices.heading[slice_number]).sum(1) * rays.distance.double() / shadow_map.texel
     along = along.clamp(min=0.0)
-    return find_lit_intervals(
-        slices.tree, SliceRays(slice_number, torch.zeros_like(along), along, -first, -last)
-    )
+    return find_lit_intervals(slices.tree, SliceRays(slice_number, torch.zeros_like(along), along, -first, -last))

@@ -92,7 +92,6 @@ class Stage:
         """Lengths of the rays `(height, width)` [m]."""
         return self.rays.distance.reshape(self.scene.camera.height, self.scene.camera.width)
 
-
     def rays_through(self, points: Tensor, distance: Tensor) -> ViewRays:
         """Rays of given lengths `(point,)` [m] through points of the image `(point, 2)`: x, y [pixel]."""
         return ViewRays(*self.scene.camera.rays_through(points), distance)

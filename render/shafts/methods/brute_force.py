@@ -28,9 +28,7 @@ class BruteForce:
     def gather(self, stage: Stage) -> Gathered:
         """In-scattered light of every pixel."""
         steps = self.steps
-        light = march_rays(
-            stage.scene.air, stage.lighting, stage.rays, lambda rays: uniform_edges(rays, steps), steps
-        )
+        light = march_rays(stage.scene.air, stage.lighting, stage.rays, lambda rays: uniform_edges(rays, steps), steps)
         return Gathered(light, (f"{steps} equal steps along every ray, lit by {stage.lighting.names}",))
 
     def refined(self) -> Self:

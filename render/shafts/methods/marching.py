@@ -7,7 +7,7 @@ from torch import Tensor
 
 from render.shafts.air import Air
 from render.shafts.lights import Lighting
-from render.shafts.march import march
+from render.shafts.march import ONE_LOOK, ShadowLooks, march
 from render.shafts.rays import ViewRays
 
 SAMPLES_AT_ONCE = 1 << 18
@@ -17,7 +17,9 @@ EdgeRule = Callable[[ViewRays], Tensor]
 """Borders of the steps `(ray, step + 1)` [m] of rays."""
 
 
-def march_rays(air: Air, lighting: Lighting, rays: ViewRays, rule: EdgeRule, steps: int, spent: float = 0.0) -> Tensor:
+def march_rays(
+    air: Air, lighting: Lighting, rays: ViewRays, rule: EdgeRule, steps: int, spent: float = 0.0, looks: ShadowLooks = ONE_LOOK
+) -> Tensor:
     """In-scattered light of rays.
 
     Args:
@@ -27,13 +29,14 @@ def march_rays(air: Air, lighting: Lighting, rays: ViewRays, rule: EdgeRule, ste
         rule: where the steps lie.
         steps: how many they are.
         spent: transmittance [1] at which a ray may be left; 0 for never.
+        looks: how shadows are looked up.
 
     Returns:
         Light `(ray, channel)`.
     """
-    chunk = max(1, SAMPLES_AT_ONCE // steps)
+    chunk = max(1, SAMPLES_AT_ONCE // (steps * looks.count))
     parts = []
     for first in range(0, len(rays), chunk):
         part = rays[first : first + chunk]
-        parts.append(march(air, lighting, part, rule(part), spent).in_scattering)
+        parts.append(march(air, lighting, part, rule(part), spent, looks).in_scattering)
     return torch.cat(parts) if parts else rays.origin.new_zeros(0, 3)
