@@ -149,9 +149,7 @@ def _sun_share(tops: Floats, line: Line, begin: float, length: float, count: int
 
 
 @loop
-def _lamp_share(
-    cubes: Floats, k: int, line: Line, begin: float, length: float, count: int, halvings: int
-) -> float:
+def _lamp_share(cubes: Floats, k: int, line: Line, begin: float, length: float, count: int, halvings: int) -> float:
     """The same for point light k."""
     x, y, z, dx, dy, dz = line
     total, part = 0.0, length / count
@@ -375,7 +373,9 @@ def _nearest(lamps: Doubles, k: int, rays: Floats, n: int, closest: Doubles) -> 
     closest[k, 0], closest[k, 1] = nearest, x * x + y * y + z * z + lamps[k, 6] * lamps[k, 6]
 
 
-def march_fused(air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spent: float, looks: ShadowLooks) -> Tensor:
+def march_fused(
+    air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spent: float, looks: ShadowLooks
+) -> Tensor:
     """In-scattered light `(ray, channel)`; see `render.shafts.march.march`."""
     announce_compilation("fused_march", str(Path(__file__).parent / "__pycache__"))
     found = torch.zeros(len(rays), 3)

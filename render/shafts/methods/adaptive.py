@@ -7,7 +7,7 @@ the light of neighbouring marched pixels differs.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import torch
@@ -48,7 +48,7 @@ class Adaptive:
     """
 
     steps: int = 12
-    looks: ShadowLooks = ShadowLooks(5, 4)
+    looks: ShadowLooks = field(default_factory=lambda: ShadowLooks(8, 4))
     near_share: float = 0.0
     near_part: float = 0.3
     factor: int = 3
@@ -76,13 +76,17 @@ class Adaptive:
 
             return march_rays(stage.scene.air, lighting, rays, rule, schedule.steps, self.spent, self.looks)
 
-        shadows = f"{self.steps} steps of {self.looks.count} looks for shadows, borders halved {self.looks.halvings} times,"
+        shadows = (
+            f"{self.steps} steps of {self.looks.count} looks for shadows, borders halved {self.looks.halvings} times,"
+        )
         if self.lines is not None:
             light = gather_along_lines(stage, self.lines, marcher, clock)
             return Gathered(light, (f"{shadows} along the samples of {describe(self.lines)}",), seconds=clock.seconds)
         if self.factor == 1:
             with clock.timed("marching"):
-                return Gathered(marcher(stage.lighting, stage.rays, None), (f"{shadows} along every ray",), (), clock.seconds)
+                return Gathered(
+                    marcher(stage.lighting, stage.rays, None), (f"{shadows} along every ray",), (), clock.seconds
+                )
         light, marched = self._gather_blocks(stage, marcher, clock)
         said = f"{shadows} along {marched:.1%} of the rays: one in {self.factor**2}, and those at edges"
         return Gathered(light, (said,), seconds=clock.seconds)

@@ -18,7 +18,13 @@ EdgeRule = Callable[[ViewRays], Tensor]
 
 
 def march_rays(
-    air: Air, lighting: Lighting, rays: ViewRays, rule: EdgeRule, steps: int, spent: float = 0.0, looks: ShadowLooks = ONE_LOOK
+    air: Air,
+    lighting: Lighting,
+    rays: ViewRays,
+    rule: EdgeRule,
+    steps: int,
+    spent: float = 0.0,
+    looks: ShadowLooks = ONE_LOOK,
 ) -> Tensor:
     """In-scattered light of rays.
 
