@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from cloudfit import __version__
-from cloudfit.commands import compare, demo, fit, fog, info, precompute, render
+from cloudfit.commands import compare, demo, fit, fog, info, precompute, render, shafts
 from cloudfit.commands.console import EXIT_CODES
 
 app = typer.Typer(
@@ -22,6 +22,7 @@ app.command(epilog=fit.EPILOG)(fit.fit)
 app.command(epilog=precompute.EPILOG)(precompute.precompute)
 app.command(epilog=render.EPILOG)(render.render)
 app.command(epilog=fog.EPILOG)(fog.fog)
+app.command(epilog=shafts.EPILOG)(shafts.shafts)
 app.command(epilog=compare.EPILOG)(compare.compare)
 app.command(epilog=info.EPILOG)(info.info)
 app.command(epilog=demo.EPILOG)(demo.demo)

@@ -5,14 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numba import njit
-from numpy.typing import NDArray
 from torch import Tensor
 
 from render.fused import announce_compilation, run_in_threads
 from render.media import ExponentialDecay, LinearDecay, Uniform
 from render.shafts.air import Air
 from render.shafts.cube_shadow_map import CubeShadowMap
+from render.shafts.fused_shadows import Doubles, Floats, lamp_line, lamp_share, loop, sun_line, sun_share
 from render.shafts.lights import Lighting
 from render.shafts.march import ShadowLooks
 from render.shafts.rays import ViewRays
@@ -21,12 +20,6 @@ from render.shafts.shadow_map import ShadowMap
 CHUNK = 1 << 10
 """Rays of one call."""
 
-# Numba counts references to every array that passes through a function, with locked instructions that cost more than the arithmetic here.
-# These functions only use arrays of their callers, so they do without.
-loop = njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
-
-Doubles = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 KINDS = {Uniform: 0.0, LinearDecay: 1.0, ExponentialDecay: 2.0}
 """Numbers of the profiles."""
@@ -88,97 +81,6 @@ def _look_up_depth(table: Doubles, lowest: float, spacing: float, height: float,
 
 
 @loop
-def _sees_sun(tops: Floats, u: float, v: float, w: float) -> bool:
-    """As `ShadowMap.look_up_lit`, at place (u, v) [texel] of the map and w along its third axis."""
-    if not (u >= 0.0 and v >= 0.0 and u < tops.shape[1] and v < tops.shape[0]):
-        return True
-    return w >= tops[int(v), int(u)]
-
-
-@loop
-def _sees_lamp(cubes: Floats, k: int, dx: float, dy: float, dz: float) -> bool:
-    """As `CubeShadowMap.look_up_lit`, for one offset from the light."""
-    ax, ay, az = abs(dx), abs(dy), abs(dz)
-    if ax >= ay and ax >= az:
-        axis, main, first, second = 0, dx, dy, dz
-    elif ay >= az:
-        axis, main, first, second = 1, dy, dz, dx
-    else:
-        axis, main, first, second = 2, dz, dx, dy
-    if main == 0.0:
-        return True
-    size = cubes.shape[2]
-    column = min(max(int((0.5 + 0.5 * first / abs(main)) * size), 0), size - 1)
-    row = min(max(int((0.5 + 0.5 * second / abs(main)) * size), 0), size - 1)
-    first_surface = cubes[k, 2 * axis + (1 if main < 0.0 else 0), row, column]
-    return dx * dx + dy * dy + dz * dz <= float(first_surface) * float(first_surface)
-
-
-Line = tuple[float, float, float, float, float, float]
-"""A ray as a light sees it: three coordinates where it begins, and how they change along it."""
-
-
-@loop
-def _sun_share(tops: Floats, line: Line, begin: float, length: float, count: int, halvings: int) -> float:
-    """Lit share of one step of one ray, as `_lit_share` of the torch loop."""
-    u, v, w, du, dv, dw = line
-    total, part = 0.0, length / count
-    if halvings == 0:
-        for j in range(count):
-            t = begin + (j + 0.5) * part
-            total += 1.0 if _sees_sun(tops, u + t * du, v + t * dv, w + t * dw) else 0.0
-        return total / count
-    before = _sees_sun(tops, u + begin * du, v + begin * dv, w + begin * dw)
-    for j in range(count):
-        low = begin + j * part
-        high, t = low + part, low + part
-        after = _sees_sun(tops, u + t * du, v + t * dv, w + t * dw)
-        if before == after:
-            total += 1.0 if after else 0.0
-        else:
-            for _ in range(halvings):
-                t = 0.5 * (low + high)
-                if _sees_sun(tops, u + t * du, v + t * dv, w + t * dw) == before:
-                    low = t
-                else:
-                    high = t
-            border = (0.5 * (low + high) - begin) / part - j
-            total += border if before else 1.0 - border
-        before = after
-    return total / count
-
-
-@loop
-def _lamp_share(cubes: Floats, k: int, line: Line, begin: float, length: float, count: int, halvings: int) -> float:
-    """The same for point light k."""
-    x, y, z, dx, dy, dz = line
-    total, part = 0.0, length / count
-    if halvings == 0:
-        for j in range(count):
-            t = begin + (j + 0.5) * part
-            total += 1.0 if _sees_lamp(cubes, k, x + t * dx, y + t * dy, z + t * dz) else 0.0
-        return total / count
-    before = _sees_lamp(cubes, k, x + begin * dx, y + begin * dy, z + begin * dz)
-    for j in range(count):
-        low = begin + j * part
-        high, t = low + part, low + part
-        after = _sees_lamp(cubes, k, x + t * dx, y + t * dy, z + t * dz)
-        if before == after:
-            total += 1.0 if after else 0.0
-        else:
-            for _ in range(halvings):
-                t = 0.5 * (low + high)
-                if _sees_lamp(cubes, k, x + t * dx, y + t * dy, z + t * dz) == before:
-                    low = t
-                else:
-                    high = t
-            border = (0.5 * (low + high) - begin) / part - j
-            total += border if before else 1.0 - border
-        before = after
-    return total / count
-
-
-@loop
 def _phase(asymmetry: float, cosine: float) -> float:
     """Henyey-Greenstein, or Rayleigh where the asymmetry is no number."""
     if np.isnan(asymmetry):
@@ -197,7 +99,9 @@ def _lamp_step(
 
     A row of `lamps` is its position, intensity, radius and reach; `closest` the place along the ray nearest to it, and the square of h.
     """
-    middle = 0.5 * (begin + end)
+    u, w, aside = begin - closest[k, 0], end - closest[k, 0], closest[k, 1]
+    near, far = np.sqrt(aside + u * u), np.sqrt(aside + w * w)
+    middle = closest[k, 0] + (u * far + w * near) / (near + far)
     dx = rays[n, 0] + middle * rays[n, 3] - lamps[k, 0]
     dy = rays[n, 1] + middle * rays[n, 4] - lamps[k, 1]
     dz = rays[n, 2] + middle * rays[n, 5] - lamps[k, 2]
@@ -207,7 +111,6 @@ def _lamp_step(
     cosine = 0.0
     if distance > 0.0:
         cosine = min(max(-(dx * rays[n, 3] + dy * rays[n, 4] + dz * rays[n, 5]) / distance, -1.0), 1.0)
-    u, w, aside = begin - closest[k, 0], end - closest[k, 0], closest[k, 1]
     spread = share * _mean_inverse_square(u, w, aside)
     if lamps[k, 7] < np.inf:
         square = (distance / lamps[k, 7]) * (distance / lamps[k, 7])
@@ -290,27 +193,6 @@ def _sun_step(
 
 
 @loop
-def _sun_line(frame: Doubles, rays: Floats, n: int) -> Line:
-    """A ray in the coordinates of the sun's map."""
-    x, y, z, dx, dy, dz = rays[n, 0], rays[n, 1], rays[n, 2], rays[n, 3], rays[n, 4], rays[n, 5]
-    return (
-        frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z + frame[0, 3],
-        frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z + frame[1, 3],
-        frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z + frame[2, 3],
-        frame[0, 0] * dx + frame[0, 1] * dy + frame[0, 2] * dz,
-        frame[1, 0] * dx + frame[1, 1] * dy + frame[1, 2] * dz,
-        frame[2, 0] * dx + frame[2, 1] * dy + frame[2, 2] * dz,
-    )
-
-
-@loop
-def _lamp_line(lamps: Doubles, k: int, rays: Floats, n: int) -> Line:
-    """A ray relative to point light k."""
-    x, y, z = rays[n, 0] - lamps[k, 0], rays[n, 1] - lamps[k, 1], rays[n, 2] - lamps[k, 2]
-    return x, y, z, float(rays[n, 3]), float(rays[n, 4]), float(rays[n, 5])
-
-
-@loop
 def _march_ray(
     rays: Floats, edges: Floats, n: int, layers: Doubles, sun: Sunlight, maps: Maps,
     deepest: float, count: int, halvings: int, work: Work, light: Doubles,
@@ -326,14 +208,14 @@ def _march_ray(
     low, known, has_sun = float(rays[n, 2]), False, len(irradiance) > 0
     for k in range(len(lamps)):
         _nearest(lamps, k, rays, n, closest)
-    line = _sun_line(frame, rays, n)
+    line = sun_line(frame, rays, n)
     for i in range(edges.shape[1] - 1):
         begin, end = float(edges[n, i]), float(edges[n, i + 1])
         high = float(rays[n, 2]) + float(rays[n, 5]) * end
         _measure_step(layers, phase, n, low, high, end - begin, step, source, greys)
         lit = 0.0
         if has_sun and end > begin:
-            lit = _sun_share(tops, line, begin, end - begin, count, halvings)
+            lit = sun_share(tops, line, begin, end - begin, count, halvings)
         if lit > 0.0:
             _sun_step(table, heights, irradiance, low, high, known, lit, before, step, source, sun_low, sun_high, light)
         known = lit > 0.0
@@ -344,7 +226,7 @@ def _march_ray(
             before[c] += step[c]
             least = min(least, before[c])
         for k in range(len(lamps) if end > begin else 0):
-            share = _lamp_share(cubes, k, _lamp_line(lamps, k, rays, n), begin, end - begin, count, halvings)
+            share = lamp_share(cubes, k, lamp_line(lamps, k, rays, n), begin, end - begin, count, halvings)
             if share > 0.0:
                 _lamp_step(lamps, closest, k, layers, rays, n, begin, end, greys, arriving, light, share)
         low = high

@@ -133,7 +133,7 @@ def _point_light(
 ) -> Tensor:
     """Light of a point light that the steps scatter into the rays `(ray, channel)`."""
     light = point.light
-    middles = rays.points_at(0.5 * (edges[:, 1:] + edges[:, :-1]))
+    middles = rays.points_at(brightest_places(rays, edges, light.position, light.radius))
     towards = middles.new_tensor(light.position) - middles
     distance = torch.linalg.vector_norm(towards, dim=-1)
     unit = towards / torch.where(distance > 0.0, distance, 1.0)[..., None]
@@ -176,6 +176,36 @@ def _halve(visibility: Visibility, rays: ViewRays, first: Tensor, last: Tensor, 
     return torch.where(starts_lit, border, 1.0 - border)
 
 
+def brightest_places(rays: ViewRays, edges: Tensor, position: tuple[float, float, float], radius: float) -> Tensor:
+    """Places in steps that have half the light of 1 / (d^2 + r^2) before and half behind them.
+
+    They halve the angle that a step subtends at the distance h beside the ray: with the ends u and w along the ray, counted from
+    the place nearest to the point, that is (u sqrt(h^2 + w^2) + w sqrt(h^2 + u^2)) / (sqrt(h^2 + u^2) + sqrt(h^2 + w^2)).
+
+    Args:
+        rays: where the steps lie.
+        edges: borders `(ray, step + 1)` [m].
+        position: of the point [m].
+        radius: r [m], positive.
+
+    Returns:
+        Distances along the rays `(ray, step)` [m].
+    """
+    nearest, aside = _closest(rays, position, radius)
+    along = edges - nearest
+    away = (aside + along.square()).sqrt()
+    u, w, near, far = along[:, :-1], along[:, 1:], away[:, :-1], away[:, 1:]
+    return nearest + (u * far + w * near) / (near + far)
+
+
+def _closest(rays: ViewRays, position: tuple[float, float, float], radius: float) -> tuple[Tensor, Tensor]:
+    """Place along each ray that is nearest to a point [m], and the squared distance there plus that of the radius, each `(ray, 1)`."""
+    offset = rays.origin.new_tensor(position) - rays.origin
+    nearest = (offset * rays.direction).sum(-1, keepdim=True)
+    aside = offset - nearest * rays.direction
+    return nearest, aside.square().sum(-1, keepdim=True) + radius * radius
+
+
 def inverse_square_mean(rays: ViewRays, edges: Tensor, position: tuple[float, float, float], radius: float) -> Tensor:
     """Mean over each step of 1 / (d^2 + r^2), d the distance to a point.
 
@@ -192,10 +222,8 @@ def inverse_square_mean(rays: ViewRays, edges: Tensor, position: tuple[float, fl
     Returns:
         `(ray, step)` [1/m^2].
     """
-    offset = rays.origin.new_tensor(position) - rays.origin
-    nearest = (offset * rays.direction).sum(-1, keepdim=True)
-    aside = offset - nearest * rays.direction
-    h = (aside.square().sum(-1, keepdim=True) + radius * radius).sqrt()
+    nearest, aside = _closest(rays, position, radius)
+    h = aside.sqrt()
     first, last = edges[:, :-1] - nearest, edges[:, 1:] - nearest
     length = last - first
     integral = torch.atan2(h * length, h * h + first * last) / h

@@ -21,8 +21,8 @@ from render.shafts.march import ShadowLooks
 from render.shafts.methods.base import Gathered, Method, check_steps
 from render.shafts.methods.engelhardt2010 import refine_lines
 from render.shafts.methods.epipolar_light import LineMarcher, describe, gather_along_lines
-from render.shafts.methods.marching import march_rays
-from render.shafts.rays import ViewRays
+from render.shafts.methods.marching import EdgeRule, march_rays
+from render.shafts.rays import ViewRays, edges_towards_lamp
 from render.shafts.stage import Clock, Stage
 from render.shafts.step_schedule import StepSchedule
 
@@ -42,6 +42,7 @@ class Adaptive:
         contrast: difference of light between neighbouring marched pixels, as a share of the mean light of the image, above which the
             pixels between them are marched; infinite for never.
         spent: transmittance [1] at which a ray is left; 0 for never.
+        short_near_lamps: let half of the steps of a lamp subtend equal angles at it.
 
     Raises:
         ParameterError: for numbers outside these bounds.
@@ -56,6 +57,7 @@ class Adaptive:
     depth_tolerance: float = 0.1
     contrast: float = 0.25
     spent: float = 1e-3
+    short_near_lamps: bool = True
 
     def __post_init__(self) -> None:
         for count in (self.steps, self.factor):
@@ -71,10 +73,11 @@ class Adaptive:
         schedule = self.schedule(float(stage.rays.distance.max()))
 
         def marcher(lighting: Lighting, rays: ViewRays, _: Tensor | None) -> Tensor:
-            def rule(part: ViewRays) -> Tensor:
-                return schedule.tile(torch.zeros_like(part.distance), part.distance).edges
-
-            return march_rays(stage.scene.air, lighting, rays, rule, schedule.steps, self.spent, self.looks)
+            light = torch.zeros_like(rays.origin)
+            for alone in lighting.separate():
+                rule = self._edge_rule(alone, schedule)
+                light += march_rays(stage.scene.air, alone, rays, rule, schedule.steps, self.spent, self.looks)
+            return light
 
         shadows = (
             f"{self.steps} steps of {self.looks.count} looks for shadows, borders halved {self.looks.halvings} times,"
@@ -96,6 +99,13 @@ class Adaptive:
         if self.steps < 2 or self.near_share == 0.0 or self.near_part == 1.0:
             return StepSchedule.uniform(self.steps)
         return StepSchedule.from_ratio(self.steps, self.near_share, 1.0 - self.near_share, self.near_part * longest)
+
+    def _edge_rule(self, alone: Lighting, schedule: StepSchedule) -> EdgeRule:
+        """Where the steps lie for one light: by the schedule for the sun, and shorter near a lamp."""
+        if alone.sun is not None or not self.short_near_lamps or self.steps < 2:
+            return lambda rays: schedule.tile(torch.zeros_like(rays.distance), rays.distance).edges
+        lamp = alone.points[0].light
+        return lambda rays: edges_towards_lamp(rays, lamp.position, lamp.radius, self.steps)
 
     def _gather_blocks(self, stage: Stage, marcher: LineMarcher, clock: Clock) -> tuple[Tensor, float]:
         """Light of all pixels, and the share of them that was marched."""
@@ -139,4 +149,4 @@ class Adaptive:
 
     def at_full_density(self, steps: int) -> Method:
         """Equal steps along every ray, one look in each, to its end."""
-        return Adaptive(steps, ShadowLooks(), 0.0, 1.0, 1, None, contrast=math.inf, spent=0.0)
+        return Adaptive(steps, ShadowLooks(), 0.0, 1.0, 1, None, contrast=math.inf, spent=0.0, short_near_lamps=False)

@@ -47,13 +47,20 @@ def gather_along_lines(stage: Stage, settings: EpipolarSettings, marcher: LineMa
             continue
         with clock.timed("epipolar lines"):
             sampling = build_epipolar_sampling(image, stage.depth_buffer, settings)
-            on_lines = stage.rays_through(sampling.points[sampling.marched], sampling.depth[sampling.marched])
+            on_lines = _cast_samples(stage, sampling)
         with clock.timed("marching"):
             marched = marcher(lighting, on_lines, sampling.line[sampling.marched])
             own = marcher(lighting, stage.rays[sampling.own_pixels], None)
         with clock.timed("interpolation"):
             total += sampling.interpolate(marched, own)
     return total
+
+
+def _cast_samples(stage: Stage, sampling: EpipolarSampling) -> ViewRays:
+    """Rays of the samples to march: no farther than the pixel under them sees, nor through a surface beside its centre."""
+    rays = stage.rays_through(sampling.points[sampling.marched], sampling.depth[sampling.marched])
+    surface = stage.caster.find_distance(rays.origin, rays.direction)
+    return ViewRays(rays.origin, rays.direction, torch.minimum(rays.distance, surface))
 
 
 def describe(sampling_settings: EpipolarSettings) -> str:

@@ -89,7 +89,7 @@ def test_a_sphere_in_uniform_fog_leaves_the_analytic_lit_intervals() -> None:
 
 
 def _shadow_of_sphere(part: Constituent, ray: ViewRays, centre: torch.Tensor, radius: float) -> torch.Tensor:
-    """Light that a ray would gather within the shadow of a sphere under the zenith sun: the cylinder below its middle, and the half-ball."""
+    """Light that a ray would gather in the shadow of a sphere under the zenith sun: the ball, and the cylinder below it."""
     along = torch.linspace(0.0, 1.0, 200_001, dtype=torch.float64) * ray.distance
     points = ray.origin + along[:, None] * ray.direction
     offset = points - centre

@@ -36,7 +36,8 @@ def test_a_key_that_nobody_asks_for_is_an_error_with_file_and_key() -> None:
 
 @pytest.mark.parametrize(
     ("method", "value"),
-    [("number", "1"), ("number", True), ("number", math.nan), ("whole", 1.5), ("whole", True), ("truth", 1), ("word", 3), ("triple", [1, 2]),
+    [("number", "1"), ("number", True), ("number", math.nan), ("whole", 1.5), ("whole", True), ("truth", 1), ("word", 3),
+     ("triple", [1, 2]),
      ("triple", [1, 2, "3"]), ("triple", [1, 2, math.inf]), ("table", 3), ("tables", {"a": 1}), ("tables", [1])],
 )  # fmt: skip
 def test_another_kind_is_an_error_that_names_it(method: str, value: object) -> None:
