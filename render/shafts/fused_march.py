@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numba import njit
 from torch import Tensor
 
 from render.fused import announce_compilation, run_in_threads
 from render.media import ExponentialDecay, LinearDecay, Uniform
 from render.shafts.air import Air
 from render.shafts.cube_shadow_map import CubeShadowMap
-from render.shafts.fused_shadows import Doubles, Floats, lamp_line, lamp_share, loop, sun_line, sun_share
+from render.shafts.fused_shadows import OPTIONS, Doubles, Floats, lamp_line, lamp_share, sun_line, sun_share
 from render.shafts.lights import Lighting
 from render.shafts.march import ShadowLooks
 from render.shafts.rays import ViewRays
@@ -20,6 +21,8 @@ from render.shafts.shadow_map import ShadowMap
 CHUNK = 1 << 10
 """Rays of one call."""
 
+
+loop = njit(**OPTIONS)
 
 KINDS = {Uniform: 0.0, LinearDecay: 1.0, ExponentialDecay: 2.0}
 """Numbers of the profiles."""

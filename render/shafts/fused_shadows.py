@@ -9,7 +9,8 @@ Floats = NDArray[np.float32]
 
 # Numba counts references to every array that passes through a function, with locked instructions that cost more than the arithmetic here.
 # These functions only use arrays of their callers, so they do without.
-loop = njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+OPTIONS = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False}
+loop = njit(**OPTIONS)
 
 
 Line = tuple[float, float, float, float, float, float]
