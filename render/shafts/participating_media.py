@@ -132,15 +132,15 @@ class SpheroidMedium:
             strength: the user's control, a factor of at least 0.
 
         Returns:
-            Densities from 0 to `strength` `(point,)` [1].
+            Densities from 0 to `strength` `(point,)` [1], computed in float32.
 
         Raises:
             ParameterError: for a time that is not finite or a strength that is negative or not finite.
         """
         if not (math.isfinite(time) and 0.0 <= strength < math.inf):
             raise ParameterError(f"a medium needs a finite time and strength, not {time} s and {strength}")
-        chunks = [strength * self._density(chunk, time) for chunk in points.split(POINTS_IN_FLIGHT)]
-        return torch.cat(chunks) if chunks else points.new_zeros(0)
+        chunks = [strength * self._density(chunk, time) for chunk in points.to(torch.float32).split(POINTS_IN_FLIGHT)]
+        return torch.cat(chunks).to(points.dtype)
 
     def _middle_at(self, time: float) -> Tensor:
         return torch.tensor([middle + time * wind for middle, wind in zip(self.middle, self.wind, strict=True)])

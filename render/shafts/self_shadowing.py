@@ -92,12 +92,13 @@ class LightLengths:
 
     def look_up(self, points: Tensor) -> Tensor:
         """Optical length from points `(point, 3)` [m] to the light `(point,)` [m]; 0 where nothing lies between."""
+        precision, points = points.dtype, points.to(torch.float32)
         direction, distance = self.light.way_from(points)
         near, far = self.grid.intersect(points, direction)
         meets = (far > near) & (near < distance)
         entry = points + torch.where(meets, near, 0.0)[:, None] * direction
         x, y, z = (self.grid.voxel_coordinates(entry) + 0.5).unbind(-1)
-        return torch.where(meets, self.table.look_up(x, y, z), 0.0)
+        return torch.where(meets, self.table.look_up(x, y, z), 0.0).to(precision)
 
 
 def compute_light_length(grid: DensityGrid, points: Tensor, light: Light, step: float = STEP) -> Tensor:
@@ -112,6 +113,7 @@ def compute_light_length(grid: DensityGrid, points: Tensor, light: Light, step: 
     Returns:
         Optical lengths `(point,)` [m]; trapezoids, summed in float64.
     """
+    precision, points = points.dtype, points.to(torch.float32)
     direction, distance = light.way_from(points)
     near, far = grid.intersect(points, direction)
     length = (torch.minimum(far, distance) - near).clamp(min=0.0)
@@ -127,7 +129,7 @@ def compute_light_length(grid: DensityGrid, points: Tensor, light: Light, step: 
         x, y, z = (start[:, None, axis] + way * rate[:, None, axis] for axis in range(3))
         mean = (grid.table.look_up(x, y, z).double() @ weight) / steps
         result[part] = (mean * length[part]).to(result.dtype)
-    return result
+    return result.to(precision)
 
 
 def build_light_lengths(grid: DensityGrid, light: Light, step: float = STEP) -> LightLengths:

@@ -42,11 +42,11 @@ class SolidNoise:
         Returns:
             Numbers `(...)`, within about -1..1.
         """
-        total = torch.zeros_like(points[..., 0])
+        total = torch.zeros_like(points[..., 0], dtype=torch.float32)
         for octave, table in enumerate(self._tables):
             place = torch.remainder(points * 2.0**octave, PERIOD)
             cell = place.floor()
             fraction = place - cell
-            x, y, z = (cell + fraction * fraction * (3.0 - 2.0 * fraction)).unbind(-1)
+            x, y, z = (cell + fraction * fraction * (3.0 - 2.0 * fraction)).to(torch.float32).unbind(-1)
             total += 0.5**octave * table.look_up(x, y, z)
-        return total / (2.0 - 0.5 ** (self.octaves - 1))
+        return (total / (2.0 - 0.5 ** (self.octaves - 1))).to(points.dtype)

@@ -73,6 +73,59 @@ def test_stretches_are_those_of_the_map(start: tuple[float, float]) -> None:
     assert not torch.equal(other | unsure, expected | unsure)
 
 
+def sphere_map(texels: int) -> torch.Tensor:
+    """A sphere of radius 1 in the middle of a map of side 4, seen by parallel light; its middle is at depth 0."""
+    centre = (torch.arange(texels, dtype=torch.float64) + 0.5) * (4.0 / texels) - 2.0
+    aside = centre.square() + centre[:, None].square()
+    return torch.where(aside < 1.0, -(1.0 - aside).clamp(min=0.0).sqrt(), torch.inf)
+
+
+def rays_by_a_sphere(count: int = 400) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Ends `(ray, 3)` of segments from one eye, and the fractions `(ray, 2)` at which they enter and leave the shadow: x, y, depth.
+
+    Even rays pass behind the sphere and are dark within its cylinder; odd ones come from before it, hit it, and end in its middle plane.
+    """
+    numbers = torch.rand(3, count, generator=child_generator(5), dtype=torch.float64)
+    eye = torch.tensor([-1.9, -1.2, -3.0], dtype=torch.float64)
+    ends = torch.stack([1.9 * numbers[0], 4.0 * numbers[1] - 2.0, 6.0 + 60.0 * numbers[2]], dim=1)
+    ends[1::2] = torch.stack([0.5 * numbers[0] - 0.2, 0.6 * numbers[1] - 0.3, 0.0 * numbers[2]], dim=1)[1::2]
+    way = ends - eye
+
+    def roots(axes: int) -> torch.Tensor:
+        a, b = way[:, :axes].square().sum(1), (way[:, :axes] * eye[:axes]).sum(1)
+        root = (b * b - a * (eye[:axes].square().sum() - 1.0)).clamp(min=0.0).sqrt()
+        return torch.stack([(-b - root) / a, (-b + root) / a], dim=1)
+
+    cylinder, sphere = roots(2).clamp(0.0, 1.0), roots(3)[:, :1]
+    dark = torch.where(
+        (torch.arange(count) % 2 == 0)[:, None], cylinder, torch.cat([sphere, torch.ones_like(sphere)], 1)
+    )
+    behind = eye[2] + cylinder[:, 0] * way[:, 2] > 0.0
+    kept = behind | (torch.arange(count) % 2 == 1)
+    return eye, ends[kept], dark[kept]
+
+
+@pytest.mark.parametrize("fused", [True, False])
+def test_the_shadow_of_a_sphere_has_its_closed_form(fused: bool) -> None:
+    eye, ends, dark = rays_by_a_sphere()
+    texels = 2048
+    flat = (ends - eye)[:, :2]
+    length = torch.linalg.vector_norm(flat, dim=1)
+    slices = MapSlices(sphere_map(texels), (eye[:2] + 2.0) * (texels / 4.0), flat / length[:, None])
+    zero = torch.zeros_like(length)
+    rays = SliceRays(torch.arange(len(ends)), zero, length * (texels / 4.0), zero + eye[2], ends[:, 2])
+    found = find_lit_in_map(slices, rays) if fused else by_torch(slices, rays)
+    lit = 1.0 - (dark[:, 1] - dark[:, 0])
+    assert len(ends) > 250
+    assert 0.1 < float(lit.mean()) < 0.95
+    error = found.lit_fraction() - lit
+    # A ray that grazes the sphere sees a texel more or less of it along a chord of the square root of a texel.
+    assert float(error.square().mean().sqrt()) < 1e-3
+    assert float(error.abs().median()) < 5e-4
+    larger = MapSlices(sphere_map(texels).roll(20, 1), slices.start, slices.heading)
+    assert float((find_lit_in_map(larger, rays).lit_fraction() - lit).square().mean().sqrt()) > 3e-3
+
+
 def test_cells_end_at_the_borders_of_texels() -> None:
     slices = MapSlices(torch.tensor([[1.0, 2.0, 3.0]]), torch.tensor([0.5, 0.5]), torch.tensor([[1.0, 0.0]]))
     depths, edges = cut_map(slices, 10.0)

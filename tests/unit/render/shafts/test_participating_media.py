@@ -129,3 +129,10 @@ def test_media_that_cannot_be_are_refused() -> None:
     with pytest.raises(ParameterError, match="1024"):
         build_medium_grid(FOG, 0)
     assert float(dataclasses.replace(FOG, count=0).evaluate_density(POINTS).abs().max()) == 0.0
+
+
+def test_points_in_double_precision_have_the_same_density() -> None:
+    density = FOG.evaluate_density(POINTS.double())
+    assert density.dtype == torch.float64
+    assert torch.equal(density.float(), FOG.evaluate_density(POINTS))
+    assert FOG.evaluate_density(POINTS[:0]).shape == (0,)

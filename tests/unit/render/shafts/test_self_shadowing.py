@@ -66,3 +66,14 @@ def test_a_light_is_somewhere() -> None:
     with pytest.raises(ParameterError, match="finite"):
         NearLight((0.0, math.inf, 0.0))
     assert compute_light_length(BLOCK, torch.zeros(0, 3), NearLight((0.0, 0.0, 0.0))).shape == (0,)
+
+
+def test_points_in_double_precision_have_the_same_lengths() -> None:
+    points = 15.0 * torch.randn(50, 3, generator=child_generator(1))
+    for light in (DistantLight((0.3, -0.4, 0.6)), NearLight((30.0, -60.0, 90.0))):
+        table = build_light_lengths(BLOCK, light)
+        assert table.look_up(points.double()).dtype == torch.float64
+        assert torch.equal(table.look_up(points.double()).float(), table.look_up(points))
+        assert torch.equal(
+            compute_light_length(BLOCK, points.double(), light).float(), compute_light_length(BLOCK, points, light)
+        )
