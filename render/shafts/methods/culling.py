@@ -9,7 +9,7 @@ from render.shafts.lights import Lighting, SunInScene
 from render.shafts.march import accumulate_sunlight
 from render.shafts.rays import ViewRays, uniform_edges
 from render.shafts.shadow_map import ShadowMap
-from render.shafts.slices import build_slices, find_headings, find_lit_parts
+from render.shafts.slices import find_headings, find_lit_parts
 from render.shafts.stage import Stage
 
 RAYS_AT_ONCE = 1 << 13
@@ -50,13 +50,11 @@ def gather_lit_parts(
     chosen = torch.zeros(len(number), dtype=torch.int64)
     is_widest = torch.nonzero(flat == widest[slice_of_ray])[:, 0]
     chosen[slice_of_ray[is_widest]] = is_widest
-    longest = float((flat * rays.distance).max()) / seen.texel + 1.0
-    slices = build_slices(seen, rays.origin[0], headings[chosen], longest)
     share = torch.arange(nodes + 1, dtype=torch.float64) / nodes
     parts = []
     for first in range(0, len(rays), RAYS_AT_ONCE):
         some = slice(first, first + RAYS_AT_ONCE)
         gathered = accumulate_sunlight(air, sun, rays[some], uniform_edges(rays[some], nodes))
-        lit = find_lit_parts(seen, slices, rays[some], slice_of_ray[some])
+        lit = find_lit_parts(seen, headings[chosen], rays[some], slice_of_ray[some])
         parts.append(lit.integrate(share, gathered))
     return torch.cat(parts)

@@ -7,7 +7,7 @@ from render.shafts.casters import make_columns, make_sphere
 from render.shafts.ray_casting import RayCaster
 from render.shafts.rays import ViewRays
 from render.shafts.shadow_map import build_shadow_map
-from render.shafts.slices import build_slices, find_headings, find_lit_parts
+from render.shafts.slices import find_headings, find_lit_parts
 
 SUN = direction_from_angles(math.radians(20.0), math.radians(40.0))
 MAP = build_shadow_map(RayCaster((make_columns(4, 4.0, 0.7, 6.0), make_sphere((0.0, 6.0, 5.0), 2.0))), SUN, 160)
@@ -27,14 +27,13 @@ def rays_from_one_eye(count: int) -> ViewRays:
 def test_lit_parts_are_those_of_the_map_place_by_place() -> None:
     rays = rays_from_one_eye(200)
     headings = find_headings(MAP, rays.direction)
-    slices = build_slices(MAP, rays.origin[0], headings, 40.0 / MAP.texel + 1.0)
     own = torch.arange(200)
-    lit = find_lit_parts(MAP, slices, rays, own)
+    lit = find_lit_parts(MAP, headings, rays, own)
     share = (torch.arange(1000, dtype=torch.float64) + 0.5) / 1000
     looked_up = MAP.look_up_lit(rays.doubled().points_at(share * rays.doubled().distance[:, None]))
     assert (lit.contains(share) != looked_up).float().mean() < 1e-3
     assert 0.02 < float((~looked_up).float().mean()) < 0.9
-    wrong = find_lit_parts(MAP, slices, rays, own.roll(1))
+    wrong = find_lit_parts(MAP, headings, rays, own.roll(1))
     assert (wrong.contains(share) != looked_up).float().mean() > 1e-2
 
 
@@ -43,6 +42,6 @@ def test_a_ray_along_the_light_has_a_heading() -> None:
     assert torch.isfinite(heading).all()
     below = torch.tensor([[0.0, 6.0, 5.0]]) - 6.0 * torch.tensor([SUN])
     up = ViewRays(below, torch.tensor([SUN]), torch.tensor([30.0]))
-    lit = find_lit_parts(MAP, build_slices(MAP, below[0], heading, 10.0), up, torch.tensor([0]))
+    lit = find_lit_parts(MAP, heading, up, torch.tensor([0]))
     # From 6 m before the middle of a sphere of 2 m to 30 m: dark up to its far side.
     assert abs(float(lit.lit_fraction()[0]) - 22.0 / 30.0) < 0.01
