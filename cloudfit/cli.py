@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from cloudfit import __version__
-from cloudfit.commands import compare, demo, fit, fog, info, precompute, render, sky
+from cloudfit.commands import compare, demo, fit, fog, info, precompute, render, shafts, sky
 from cloudfit.commands.console import EXIT_CODES
 
 app = typer.Typer(
@@ -23,6 +23,7 @@ app.command(epilog=precompute.EPILOG)(precompute.precompute)
 app.command(epilog=render.EPILOG)(render.render)
 app.command(epilog=fog.EPILOG)(fog.fog)
 app.command(epilog=sky.EPILOG)(sky.sky)
+app.command(epilog=shafts.EPILOG)(shafts.shafts)
 app.command(epilog=compare.EPILOG)(compare.compare)
 app.command(epilog=info.EPILOG)(info.info)
 app.command(epilog=demo.EPILOG)(demo.demo)

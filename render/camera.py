@@ -40,6 +40,12 @@ class Camera(Protocol):
     def resized(self, width: int, height: int) -> "Camera":
         """The same view with other pixel counts."""
 
+    def rays_through(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Origins [m] and unit directions, each `(point, 3)`, through points of the image `(point, 2)`: x, y [pixel]."""
+
+    def project(self, place: Vector, at_infinity: bool = False) -> Vector:
+        """Image of a point [m], or of a direction: homogeneous x, y, w [pixel]; w > 0 before the camera, < 0 behind it."""
+
 
 def direction_from_angles(azimuth: float, elevation: float) -> Vector:
     """Unit vector (x, y, z) of an azimuth [rad, clockwise from north] and an elevation [rad]."""
@@ -110,6 +116,24 @@ class PinholeCamera:
         forward = _view_frame(self.position, self.target, self.up)[2].to(points.dtype)
         return torch.where(length > 0, offset / length.clamp(min=1e-30), forward)
 
+    def rays_through(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Origins [m] and unit directions, each `(point, 3)`, through points of the image `(point, 2)`: x, y [pixel]."""
+        right, up, forward = _view_frame(self.position, self.target, self.up)
+        across, upwards = _offsets(points, self.width, self.height, math.tan(0.5 * self.field_of_view))
+        direction = forward + across[:, None] * right + upwards[:, None] * up
+        direction = direction / torch.linalg.vector_norm(direction, dim=-1, keepdim=True)
+        origin = torch.tensor(self.position, dtype=torch.float64).expand_as(direction)
+        return origin.to(torch.float32).contiguous(), direction.to(torch.float32)
+
+    def project(self, place: Vector, at_infinity: bool = False) -> Vector:
+        """Image of a point [m], or of a direction: homogeneous x, y, w [pixel]; w > 0 before the camera, < 0 behind it."""
+        right, up, forward = _view_frame(self.position, self.target, self.up)
+        eye = torch.tensor(self.position, dtype=torch.float64)
+        offset = torch.tensor(place, dtype=torch.float64) - (0.0 if at_infinity else eye)
+        pixel = 2.0 * math.tan(0.5 * self.field_of_view) / self.height
+        across, upwards, w = (float(offset @ axis) for axis in (right, up, forward))
+        return (0.5 * self.width * w + across / pixel, 0.5 * self.height * w - upwards / pixel, w)
+
     def resized(self, width: int, height: int) -> "PinholeCamera":
         """The same eye and vertical opening angle with other pixel counts."""
         return PinholeCamera(self.position, self.target, self.field_of_view, width, height, self.up)
@@ -153,6 +177,22 @@ class OrthographicCamera:
         """Unit direction of travel of the camera ray through each point `(point, 3)` [m]: the same everywhere."""
         forward = _view_frame(self.position, self.target, self.up)[2]
         return forward.to(points.dtype).expand_as(points)
+
+    def rays_through(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Origins [m] and unit directions, each `(point, 3)`, through points of the image `(point, 2)`: x, y [pixel]."""
+        right, up, forward = _view_frame(self.position, self.target, self.up)
+        across, upwards = _offsets(points, self.width, self.height, 0.5 * self.view_height)
+        origin = torch.tensor(self.position, dtype=torch.float64) + across[:, None] * right + upwards[:, None] * up
+        return origin.to(torch.float32), forward.expand_as(origin).to(torch.float32).contiguous()
+
+    def project(self, place: Vector, at_infinity: bool = False) -> Vector:
+        """Image of a point [m], or of a direction: homogeneous x, y, w [pixel]; a direction has w = 0."""
+        right, up, _ = _view_frame(self.position, self.target, self.up)
+        eye = torch.tensor(self.position, dtype=torch.float64)
+        offset = torch.tensor(place, dtype=torch.float64) - (0.0 if at_infinity else eye)
+        pixel, w = self.view_height / self.height, 0.0 if at_infinity else 1.0
+        across, upwards = float(offset @ right), float(offset @ up)
+        return (0.5 * self.width * w + across / pixel, 0.5 * self.height * w - upwards / pixel, w)
 
     def resized(self, width: int, height: int) -> "OrthographicCamera":
         """The same plane and vertical extent with other pixel counts."""
@@ -229,6 +269,13 @@ def _view_frame(position: Vector, target: Vector, up: Vector) -> tuple[Tensor, T
             break
     right = torch.nn.functional.normalize(right, dim=0)
     return right, torch.linalg.cross(right, forward), forward
+
+
+def _offsets(points: Tensor, width: int, height: int, half_height: float) -> tuple[Tensor, Tensor]:
+    """Offsets across and upwards of points `(point, 2)` [pixel] on a plane of the given half height, each `(point,)`."""
+    pixel = 2.0 * half_height / height
+    x, y = points.double().unbind(-1)
+    return (x - 0.5 * width) * pixel, (0.5 * height - y) * pixel
 
 
 def _image_plane(width: int, height: int, half_height: float) -> tuple[Tensor, Tensor]:

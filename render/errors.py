@@ -25,6 +25,14 @@ class ParameterError(InputError):
     """A rendering parameter outside the domain in which the formula holds."""
 
 
+class SceneError(InputError):
+    """A scene, a mesh or a scene file that cannot be rendered; names the file or the part, and the reason."""
+
+
+class MissingExtraError(CloudfitError):
+    """An optional part of the installation that is needed here; says how to install it."""
+
+
 class ResultError(InputError):
     """A result file that is missing, truncated, foreign or of another version."""
 

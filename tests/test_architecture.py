@@ -220,7 +220,10 @@ def test_an_import_against_the_layers_is_noticed(tmp_path: Path) -> None:
 def declared_imports() -> dict[str, str]:
     """Import name of each dependency, to the name of its distribution."""
     extras = PROJECT["project"]["optional-dependencies"]
-    names = [re.split(r"[<>=!~\[; ]", line)[0] for line in PROJECT["project"]["dependencies"] + extras["fast"]]
+    names = [
+        re.split(r"[<>=!~\[; ]", line)[0]
+        for line in PROJECT["project"]["dependencies"] + extras["fast"] + extras["shafts"]
+    ]
     return {IMPORT_NAMES.get(name, name): name for name in names}
 
 
@@ -269,5 +272,5 @@ def test_constraints_pin_every_dependency_exactly() -> None:
     assert not [line for line in lines if not re.fullmatch(r"[\w.-]+==[0-9][0-9a-z.]*", line)], "no paths, no builds"
     pinned = {distribution_name(line) for line in lines}
     extras = PROJECT["project"]["optional-dependencies"]
-    wanted = [*PROJECT["project"]["dependencies"], *extras["test"], *extras["fast"]]
+    wanted = [*PROJECT["project"]["dependencies"], *extras["test"], *extras["fast"], *extras["shafts"]]
     assert not [line for line in wanted if distribution_name(line) not in pinned]

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from cloudfit.optimisers import DEFAULT_OPTIMISER, OPTIMISERS, Budget, OptimiserResult, StopReason
+from cloudfit.optimisers import OPTIMISERS, Budget, OptimiserResult, StopReason
 from cloudfit.optimisers.base import PENALTY
 from render.errors import ParameterError
 

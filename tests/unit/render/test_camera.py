@@ -261,3 +261,29 @@ def test_directions_are_brought_to_unit_length() -> None:
     for bad in ([0.0, 0.0, 0.0], [math.nan, 0.0, 1.0], [math.inf, 0.0, 0.0], [1.0, 0.0], [[1.0, 0.0, 0.0]]):
         with pytest.raises(ParameterError, match="direction"):
             unit_direction(torch.tensor(bad))
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        PinholeCamera((1.0, 2.0, 3.0), (4.0, 9.0, 2.0), 0.7, 6, 4),
+        OrthographicCamera((1.0, 2.0, 3.0), (4.0, 9.0, 2.0), 5.0, 6, 4),
+    ],
+)
+def test_rays_through_points_go_where_they_are_projected_from(camera: PinholeCamera | OrthographicCamera) -> None:
+    x, y = torch.meshgrid(torch.arange(6) + 0.5, torch.arange(4) + 0.5, indexing="xy")
+    centres = torch.stack([x.flatten(), y.flatten()], dim=1)
+    origin, direction = camera.rays_through(centres)
+    torch.testing.assert_close(torch.cat(camera.rays()), torch.cat([origin, direction]))
+    for point, ray_origin, ray in zip(centres, origin, direction, strict=True):
+        a, b, w = camera.project(tuple((ray_origin + 7.0 * ray).tolist()))
+        torch.testing.assert_close(torch.tensor([a / w, b / w]), point, atol=1e-4, rtol=0.0)
+        assert w > 0.0
+
+
+def test_a_direction_behind_the_camera_has_a_negative_weight() -> None:
+    camera = PinholeCamera((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.7, 6, 4)
+    assert camera.project((0.3, 1.0, 0.0), at_infinity=True)[2] > 0.0 > camera.project((0.3, -1.0, 0.0), True)[2]
+    flat = OrthographicCamera((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 2.0, 6, 4)
+    x, y, w = flat.project((1.0, 1.0, 1.0), at_infinity=True)
+    assert (x > 0.0, y < 0.0, w) == (True, True, 0.0)

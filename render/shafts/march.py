@@ -1,0 +1,256 @@
+"""In-scattered light along view rays, step by step: the march that every method is made of.
+
+A step of the ray from a to b, of optical depth dtau, adds
+
+    sun:    V dtau_s p(cosine) irradiance  mean of exp(-(tau + A))
+    light:  V dtau_s / (b - a) p(cosine) intensity w exp(-A) mean of exp(-tau)  integral of dt / (d(t)^2 + r^2)
+
+with tau the optical depth from the eye, A that to the light, dtau_s the part of dtau that is scattered, and V the share of the step that
+sees the light (`ShadowLooks`).
+The means are those of exponents that run evenly through the step, and the last integral is an arc tangent. So
+a single medium without shadows under the sun comes out exactly, with any number of steps, and the inverse square of a near light costs
+no accuracy: the steps have to resolve shadows, not the air.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from render.errors import ParameterError
+from render.fused import fused_loops_wanted
+from render.media.special_functions import exponential_mean
+from render.shafts.air import Air
+from render.shafts.cube_shadow_map import CubeShadowMap
+from render.shafts.lights import AlwaysLit, Lighting, PointInScene, SunInScene, Visibility
+from render.shafts.rays import ViewRays
+from render.shafts.shadow_map import ShadowMap
+
+
+@dataclass(frozen=True)
+class ShadowLooks:
+    """How the lit share of a step is found.
+
+    Without halvings, shadows are looked up in the middles of `count` equal parts of the step. With them, at the ends of the parts; where
+    one end is lit and the other is not, the border between them is halved in so many times, as if the part held no other border.
+
+    Args:
+        count: parts of a step, at least 1.
+        halvings: of a part with a border, at least 0.
+
+    Raises:
+        ParameterError: for fewer.
+    """
+
+    count: int = 1
+    halvings: int = 0
+
+    def __post_init__(self) -> None:
+        if self.count < 1 or self.halvings < 0:
+            raise ParameterError(f"expected at least one look for shadows and no negative halvings, got {self}")
+
+
+ONE_LOOK = ShadowLooks()
+"""In the middle of each step."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarchedLight:
+    """Outcome of a march.
+
+    Args:
+        in_scattering: light that the air adds `(ray, channel)`.
+        depth: optical depth of the rays `(ray, channel)` [1].
+    """
+
+    in_scattering: Tensor
+    depth: Tensor
+
+
+def march(
+    air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spent: float = 0.0, looks: ShadowLooks = ONE_LOOK
+) -> MarchedLight:
+    """March along rays.
+
+    Args:
+        air: what scatters.
+        lighting: what lights it.
+        rays: where to.
+        edges: borders of the steps `(ray, step + 1)` [m], rising from 0 to the length of the ray.
+        spent: transmittance [1] at which a ray may be left; 0 for never. The torch loop takes no notice.
+        looks: how shadows are looked up.
+
+    Returns:
+        Light and optical depth. The depth of a ray that was left early is that of its whole length.
+    """
+    depth = air.compute_depth(rays.origin[:, 2], rays.direction[:, 2], rays.distance)
+    if fused_loops_wanted(edges, rays.origin) and edges.dtype == torch.float32 and _mapped(lighting):
+        from render.shafts.fused_march import march_fused
+
+        return MarchedLight(march_fused(air, lighting, rays, edges, spent, looks), depth)
+    return MarchedLight(_march(air, lighting, rays, edges, looks), depth)
+
+
+def _mapped(lighting: Lighting) -> bool:
+    """Whether all shadows come from maps, which the fused loop reads."""
+    sun = lighting.sun is None or isinstance(lighting.sun.visibility, ShadowMap | AlwaysLit)
+    return sun and all(isinstance(point.visibility, CubeShadowMap | AlwaysLit) for point in lighting.points)
+
+
+def _march(air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, looks: ShadowLooks) -> Tensor:
+    height = rays.origin[:, 2:] + rays.direction[:, 2:] * edges
+    lengths = edges.diff(dim=1)
+    steps = [part.compute_depth(height[:, :-1], rays.direction[:, 2:], lengths) for part in air.constituents]
+    if not steps:
+        return edges.new_zeros(len(rays), 3)
+    depth = torch.nn.functional.pad(sum(steps[1:], steps[0]).cumsum(dim=1), (0, 0, 1, 0))
+    light = edges.new_zeros(len(rays), 3)
+    if lighting.sun is not None:
+        lit = _lit_share(lighting.sun.visibility, rays, edges, looks)
+        light = light + _sunlight(air, lighting.sun, rays, height, steps, depth, lit)
+    for point in lighting.points:
+        lit = _lit_share(point.visibility, rays, edges, looks)
+        light = light + _point_light(air, point, rays, edges, steps, depth, lit)
+    return light
+
+
+def _sunlight(
+    air: Air, sun: SunInScene, rays: ViewRays, height: Tensor, steps: list[Tensor], depth: Tensor, lit: Tensor
+) -> Tensor:
+    """Sunlight that the steps scatter into the rays `(ray, channel)`."""
+    exponent = depth + sun.depth.look_up(height)
+    arriving = exponential_mean(exponent[:, :-1], exponent[:, 1:])
+    arriving = arriving * lit[..., None]
+    cosine = (rays.direction @ rays.direction.new_tensor(sun.light.direction)).clamp(-1.0, 1.0)
+    light = torch.zeros_like(depth[:, 0])
+    for part, step in zip(air.constituents, steps, strict=True):
+        light = light + part.albedo * part.evaluate_phase(cosine)[:, None] * (step * arriving).sum(1)
+    return light * light.new_tensor(sun.light.irradiance)
+
+
+def _point_light(
+    air: Air, point: PointInScene, rays: ViewRays, edges: Tensor, steps: list[Tensor], depth: Tensor, lit: Tensor
+) -> Tensor:
+    """Light of a point light that the steps scatter into the rays `(ray, channel)`."""
+    light = point.light
+    middles = rays.points_at(brightest_places(rays, edges, light.position, light.radius))
+    towards = middles.new_tensor(light.position) - middles
+    distance = torch.linalg.vector_norm(towards, dim=-1)
+    unit = towards / torch.where(distance > 0.0, distance, 1.0)[..., None]
+    between = air.compute_depth(middles[..., 2], unit[..., 2].clamp(-1.0, 1.0), distance)
+    arriving = torch.exp(-between) * exponential_mean(depth[:, :-1], depth[:, 1:])
+    spread = inverse_square_mean(rays, edges, light.position, light.radius) * light.window(distance)
+    spread = spread * lit
+    cosine = (unit * rays.direction[:, None]).sum(-1).clamp(-1.0, 1.0)
+    total = torch.zeros_like(depth[:, 0])
+    for part, step in zip(air.constituents, steps, strict=True):
+        weight = part.albedo * part.evaluate_phase(cosine) * spread
+        total = total + (weight[..., None] * step * arriving).sum(1)
+    return total * total.new_tensor(light.intensity)
+
+
+def _lit_share(visibility: Visibility, rays: ViewRays, edges: Tensor, looks: ShadowLooks) -> Tensor:
+    """Share of each step that sees a light `(ray, step)` [1]."""
+    count, between = looks.count, 0.5 if looks.halvings == 0 else 0.0
+    share = (torch.arange(count + (0 if between else 1), dtype=edges.dtype) + between) / count
+    places = edges[:, :-1, None] + share * edges.diff(dim=1)[..., None]
+    lit = visibility.look_up_lit(rays.points_at(places.flatten(1)).unflatten(1, places.shape[1:]))
+    if between:
+        return lit.to(edges.dtype).mean(-1)
+    parts = torch.where(lit[..., 1:] & lit[..., :-1], 1.0, 0.0).to(edges.dtype)
+    mixed = torch.nonzero(lit[..., 1:] != lit[..., :-1], as_tuple=True)
+    parts[mixed] = _halve(visibility, rays[mixed[0]], places[..., :-1][mixed], places[..., 1:][mixed], looks.halvings)
+    return parts.mean(-1)
+
+
+def _halve(visibility: Visibility, rays: ViewRays, first: Tensor, last: Tensor, halvings: int) -> Tensor:
+    """Lit share `(ray,)` of stretches of rays that are lit at one end only."""
+    length = last - first
+    starts_lit = visibility.look_up_lit(rays.points_at(first[:, None]))[:, 0]
+    low, high = torch.zeros_like(first), torch.ones_like(first)
+    for _ in range(halvings):
+        middle = 0.5 * (low + high)
+        same = visibility.look_up_lit(rays.points_at((first + middle * length)[:, None]))[:, 0] == starts_lit
+        low, high = torch.where(same, middle, low), torch.where(same, high, middle)
+    border = 0.5 * (low + high)
+    return torch.where(starts_lit, border, 1.0 - border)
+
+
+def brightest_places(rays: ViewRays, edges: Tensor, position: tuple[float, float, float], radius: float) -> Tensor:
+    """Places in steps that have half the light of 1 / (d^2 + r^2) before and half behind them.
+
+    They halve the angle that a step subtends at the distance h beside the ray: with the ends u and w along the ray, counted from
+    the place nearest to the point, that is (u sqrt(h^2 + w^2) + w sqrt(h^2 + u^2)) / (sqrt(h^2 + u^2) + sqrt(h^2 + w^2)).
+
+    Args:
+        rays: where the steps lie.
+        edges: borders `(ray, step + 1)` [m].
+        position: of the point [m].
+        radius: r [m], positive.
+
+    Returns:
+        Distances along the rays `(ray, step)` [m].
+    """
+    nearest, aside = _closest(rays, position, radius)
+    along = edges - nearest
+    away = (aside + along.square()).sqrt()
+    u, w, near, far = along[:, :-1], along[:, 1:], away[:, :-1], away[:, 1:]
+    return nearest + (u * far + w * near) / (near + far)
+
+
+def _closest(rays: ViewRays, position: tuple[float, float, float], radius: float) -> tuple[Tensor, Tensor]:
+    """Place along each ray that is nearest to a point [m], and the squared distance there plus that of the radius, each `(ray, 1)`."""
+    offset = rays.origin.new_tensor(position) - rays.origin
+    nearest = (offset * rays.direction).sum(-1, keepdim=True)
+    aside = offset - nearest * rays.direction
+    return nearest, aside.square().sum(-1, keepdim=True) + radius * radius
+
+
+def inverse_square_mean(rays: ViewRays, edges: Tensor, position: tuple[float, float, float], radius: float) -> Tensor:
+    """Mean over each step of 1 / (d^2 + r^2), d the distance to a point.
+
+        integral of dt / (h^2 + t^2) from a to b = atan(h (b - a) / (h^2 + a b)) / h
+
+    with h^2 the squared distance between ray and point, plus r^2.
+
+    Args:
+        rays: where the steps lie.
+        edges: borders `(ray, step + 1)` [m].
+        position: of the point [m].
+        radius: r [m], positive.
+
+    Returns:
+        `(ray, step)` [1/m^2].
+    """
+    nearest, aside = _closest(rays, position, radius)
+    h = aside.sqrt()
+    first, last = edges[:, :-1] - nearest, edges[:, 1:] - nearest
+    length = last - first
+    integral = torch.atan2(h * length, h * h + first * last) / h
+    return torch.where(length > 0.0, integral / torch.where(length > 0.0, length, 1.0), 1.0 / (h * h + first * first))
+
+
+def accumulate_sunlight(air: Air, sun: SunInScene, rays: ViewRays, edges: Tensor) -> Tensor:
+    """Sunlight that rays gather up to each border if nothing stands in its way: smooth, and exact at the borders for one medium.
+
+    Args:
+        air: what scatters.
+        sun: its visibility is not asked for.
+        rays: where to.
+        edges: borders of the steps `(ray, step + 1)` [m].
+
+    Returns:
+        Light `(ray, step + 1, channel)`, 0 at the first border.
+    """
+    height = rays.origin[:, 2:] + rays.direction[:, 2:] * edges
+    lengths = edges.diff(dim=1)
+    cosine = (rays.direction @ rays.direction.new_tensor(sun.light.direction)).clamp(-1.0, 1.0)
+    depth = edges.new_zeros(*lengths.shape, 3)
+    scattered = torch.zeros_like(depth)
+    for part in air.constituents:
+        step = part.compute_depth(height[:, :-1], rays.direction[:, 2:], lengths)
+        depth = depth + step
+        scattered = scattered + part.albedo * part.evaluate_phase(cosine)[:, None, None] * step
+    exponent = torch.nn.functional.pad(depth.cumsum(dim=1), (0, 0, 1, 0)) + sun.depth.look_up(height)
+    light = scattered * exponential_mean(exponent[:, :-1], exponent[:, 1:]) * depth.new_tensor(sun.light.irradiance)
+    return torch.nn.functional.pad(light.cumsum(dim=1), (0, 0, 1, 0))

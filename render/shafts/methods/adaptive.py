@@ -1,0 +1,152 @@
+"""Adaptive marching after Tan et al. 2020, "Adaptive volumetric light and atmospheric scattering": every part can be switched off.
+
+What is smooth is computed rarely and what is sharp often. Along a ray, the light that the air would scatter without shadows needs few
+steps (short ones near the eye, longer ones beyond), each of which looks up the shadows at several places. Across the image few
+rays are marched: one pixel of a block, or samples on epipolar lines. Pixels are marched by themselves where the depth jumps or where
+the light of neighbouring marched pixels differs.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from render.errors import ParameterError
+from render.shafts.bilateral import ReducedFrame, fill_frame
+from render.shafts.epipolar_sampling import EpipolarSettings
+from render.shafts.lights import Lighting
+from render.shafts.march import ShadowLooks
+from render.shafts.methods.base import Gathered, Method, check_steps
+from render.shafts.methods.engelhardt2010 import refine_lines
+from render.shafts.methods.epipolar_light import LineMarcher, describe, gather_along_lines
+from render.shafts.methods.marching import EdgeRule, march_rays
+from render.shafts.rays import ViewRays, edges_towards_lamp
+from render.shafts.stage import Clock, Stage
+from render.shafts.step_schedule import StepSchedule
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """Few steps with several looks for shadows, along few rays.
+
+    Args:
+        steps: along a ray.
+        looks: how shadows are looked up in each step.
+        near_share: share of the steps that the near level has, 0..1; 0 for equal steps.
+        near_part: share of the longest ray that the near level covers, 0..1.
+        factor: edge of the blocks of which one pixel is marched [pixel]; 1 for every pixel.
+        lines: epipolar lines in the place of blocks; None for blocks.
+        depth_tolerance: ratio of depths minus 1 within which pixels belong together.
+        contrast: difference of light between neighbouring marched pixels, as a share of the mean light of the image, above which the
+            pixels between them are marched; infinite for never.
+        spent: transmittance [1] at which a ray is left; 0 for never.
+        short_near_lamps: let half of the steps of a lamp subtend equal angles at it.
+
+    Raises:
+        ParameterError: for numbers outside these bounds.
+    """
+
+    steps: int = 12
+    looks: ShadowLooks = field(default_factory=lambda: ShadowLooks(8, 4))
+    near_share: float = 0.0
+    near_part: float = 0.3
+    factor: int = 3
+    lines: EpipolarSettings | None = None
+    depth_tolerance: float = 0.1
+    contrast: float = 0.25
+    spent: float = 1e-3
+    short_near_lamps: bool = True
+
+    def __post_init__(self) -> None:
+        for count in (self.steps, self.factor):
+            check_steps(count)
+        if not (0.0 <= self.near_share < 1.0 and 0.0 < self.near_part <= 1.0 and 0.0 <= self.spent < 1.0):
+            raise ParameterError(f"expected shares within 0..1, got {self}")
+        if not (self.contrast > 0.0 and self.depth_tolerance > 0.0):
+            raise ParameterError(f"expected a positive contrast and depth tolerance, got {self}")
+
+    def gather(self, stage: Stage) -> Gathered:
+        """In-scattered light of every pixel."""
+        clock = Clock()
+        schedule = self.schedule(float(stage.rays.distance.max()))
+
+        def marcher(lighting: Lighting, rays: ViewRays, _: Tensor | None) -> Tensor:
+            light = torch.zeros_like(rays.origin)
+            for alone in lighting.separate():
+                rule = self._edge_rule(alone, schedule)
+                light += march_rays(stage.scene.air, alone, rays, rule, schedule.steps, self.spent, self.looks)
+            return light
+
+        shadows = (
+            f"{self.steps} steps of {self.looks.count} looks for shadows, borders halved {self.looks.halvings} times,"
+        )
+        if self.lines is not None:
+            light = gather_along_lines(stage, self.lines, marcher, clock)
+            return Gathered(light, (f"{shadows} along the samples of {describe(self.lines)}",), seconds=clock.seconds)
+        if self.factor == 1:
+            with clock.timed("marching"):
+                return Gathered(
+                    marcher(stage.lighting, stage.rays, None), (f"{shadows} along every ray",), (), clock.seconds
+                )
+        light, marched = self._gather_blocks(stage, marcher, clock)
+        said = f"{shadows} along {marched:.1%} of the rays: one in {self.factor**2}, and those at edges"
+        return Gathered(light, (said,), seconds=clock.seconds)
+
+    def schedule(self, longest: float) -> StepSchedule:
+        """Steps along rays up to a length [m]."""
+        if self.steps < 2 or self.near_share == 0.0 or self.near_part == 1.0:
+            return StepSchedule.uniform(self.steps)
+        return StepSchedule.from_ratio(self.steps, self.near_share, 1.0 - self.near_share, self.near_part * longest)
+
+    def _edge_rule(self, alone: Lighting, schedule: StepSchedule) -> EdgeRule:
+        """Where the steps lie for one light: by the schedule for the sun, and shorter near a lamp."""
+        if alone.sun is not None or not self.short_near_lamps or self.steps < 2:
+            return lambda rays: schedule.tile(torch.zeros_like(rays.distance), rays.distance).edges
+        lamp = alone.points[0].light
+        return lambda rays: edges_towards_lamp(rays, lamp.position, lamp.radius, self.steps)
+
+    def _gather_blocks(self, stage: Stage, marcher: LineMarcher, clock: Clock) -> tuple[Tensor, float]:
+        """Light of all pixels, and the share of them that was marched."""
+        camera = stage.scene.camera
+        frame = ReducedFrame(camera.width, camera.height, self.factor)
+        with clock.timed("marching"):
+            pixels = frame.pixels()
+            marched = marcher(stage.lighting, stage.rays[pixels], None).reshape(len(frame.rows), len(frame.columns), 3)
+        with clock.timed("filling"):
+            filled = fill_frame(frame, marched, stage.depth_buffer, 2, self.depth_tolerance)
+            light = filled.image.flatten(0, 1)
+            refined = filled.unmatched | self._contrasting(marched, frame)
+            refined[frame.rows[:, None], frame.columns] = False
+            own = torch.nonzero(refined.flatten())[:, 0]
+        with clock.timed("refinement"):
+            light[own] = marcher(stage.lighting, stage.rays[own], None)
+        return light, (len(pixels) + len(own)) / len(light)
+
+    def _contrasting(self, marched: Tensor, frame: ReducedFrame) -> Tensor:
+        """True for pixels `(height, width)` between marched ones whose light differs too much."""
+        if math.isinf(self.contrast):
+            return torch.zeros(frame.height, frame.width, dtype=torch.bool)
+        grey = marched.mean(-1)[None, None]
+        spread = torch.nn.functional.max_pool2d(grey, 3, 1, 1) + torch.nn.functional.max_pool2d(-grey, 3, 1, 1)
+        high = (spread > self.contrast * grey.mean())[0, 0]
+        rows, columns = (torch.arange(size) // self.factor for size in (frame.height, frame.width))
+        return high[rows.clamp(max=high.shape[0] - 1)][:, columns.clamp(max=high.shape[1] - 1)]
+
+    def refined(self) -> Self:
+        """Half as large blocks and steps, or lines twice as dense."""
+        return replace(
+            self,
+            steps=2 * self.steps,
+            looks=ShadowLooks(self.looks.count, self.looks.halvings + 1),
+            factor=max(1, self.factor - 1),
+            lines=None if self.lines is None else refine_lines(self.lines),
+            depth_tolerance=0.5 * self.depth_tolerance,
+            contrast=0.5 * self.contrast,
+            spent=0.5 * self.spent,
+        )
+
+    def at_full_density(self, steps: int) -> Method:
+        """Equal steps along every ray, one look in each, to its end."""
+        return Adaptive(steps, ShadowLooks(), 0.0, 1.0, 1, None, contrast=math.inf, spent=0.0, short_near_lamps=False)

@@ -1,0 +1,66 @@
+"""View rays of known length, and the borders of the steps along them."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class ViewRays:
+    """Rays from the eye to the first surface.
+
+    Args:
+        origin: `(ray, 3)` [m].
+        direction: unit vectors `(ray, 3)`.
+        distance: lengths `(ray,)` [m], finite.
+    """
+
+    origin: Tensor
+    direction: Tensor
+    distance: Tensor
+
+    def __len__(self) -> int:
+        """Number of rays."""
+        return len(self.distance)
+
+    def __getitem__(self, chosen: slice | Tensor) -> "ViewRays":
+        """Some of the rays."""
+        return ViewRays(self.origin[chosen], self.direction[chosen], self.distance[chosen])
+
+    def points_at(self, distance: Tensor) -> Tensor:
+        """Points `(ray, sample, 3)` [m] at distances `(ray, sample)` [m]."""
+        return self.origin[:, None] + distance[..., None] * self.direction[:, None]
+
+    def doubled(self) -> "ViewRays":
+        """The same rays in float64."""
+        return ViewRays(self.origin.double(), self.direction.double(), self.distance.double())
+
+
+def uniform_edges(rays: ViewRays, steps: int) -> Tensor:
+    """Borders `(ray, step + 1)` [m] of equal steps along each ray."""
+    share = torch.arange(steps + 1, dtype=rays.distance.dtype, device=rays.distance.device) / steps
+    return rays.distance[:, None] * share
+
+
+def edges_towards_lamp(rays: ViewRays, position: tuple[float, float, float], radius: float, steps: int) -> Tensor:
+    """Borders of steps that are short near a lamp: half of them are equal, half subtend equal angles at it, in order.
+
+    Args:
+        rays: any number.
+        position: of the lamp [m].
+        radius: of the lamp [m], positive.
+        steps: at least 2.
+
+    Returns:
+        `(ray, step + 1)` [m], from 0 to the length of the ray.
+    """
+    offset = rays.origin.new_tensor(position) - rays.origin
+    nearest = (offset * rays.direction).sum(-1, keepdim=True)
+    aside = (offset - nearest * rays.direction).square().sum(-1, keepdim=True) + radius * radius
+    h, length = aside.sqrt(), rays.distance[:, None]
+    first, last = torch.atan2(-nearest, h), torch.atan2(length - nearest, h)
+    count = steps // 2
+    share = torch.arange(1, count + 1, dtype=h.dtype, device=h.device) / (count + 1)
+    angular = (nearest + h * torch.tan(first + share * (last - first))).clamp(min=0.0)
+    return torch.cat([uniform_edges(rays, steps - count), torch.minimum(angular, length)], dim=1).sort(dim=1).values

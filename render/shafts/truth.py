@@ -1,0 +1,129 @@
+"""The truth about a scene, how far a method is from it, and settings that keep within a tolerance."""
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from render.errors import ParameterError
+from render.shafts.methods.base import Method
+from render.shafts.methods.brute_force import BruteForce
+from render.shafts.scene import ShaftScene
+from render.shafts.stage import MapSettings, Stage, prepare_stage
+
+FIRST_STEPS, MOST_STEPS = 64, 1 << 15
+"""Steps that the truth begins with, and at which it gives up."""
+
+MOST_REFINEMENTS = 6
+"""After which no settings are refined any further."""
+
+
+@dataclass(frozen=True)
+class LightError:
+    """How far one image of in-scattered light is from another.
+
+    Args:
+        relative_rms: root mean square of the difference over that of the true image [1].
+        largest: largest difference over the largest value of the true image [1].
+    """
+
+    relative_rms: float
+    largest: float
+
+
+def measure_error(light: Tensor, truth: Tensor) -> LightError:
+    """Error of light against the truth, both of one shape; 0 for equal ones, black ones included."""
+    difference = (light.double() - truth.double()).abs()
+    power, peak = float(truth.double().square().mean().sqrt()), float(truth.double().max())
+    rms, largest = float(difference.square().mean().sqrt()), float(difference.max())
+    if peak == 0.0:
+        return LightError(*((0.0, 0.0) if largest == 0.0 else (float("inf"), float("inf"))))
+    return LightError(rms / power, largest / peak)
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Converged light.
+
+    Args:
+        in_scattering: `(pixel, channel)`.
+        steps: along every ray.
+        change: relative RMS by which the last doubling changed it [1].
+    """
+
+    in_scattering: Tensor
+    steps: int
+    change: float
+
+
+def compute_truth(stage: Stage, change: float = 1e-3) -> Truth:
+    """Brute force, its steps doubled until that changes little.
+
+    Args:
+        stage: the scene; the shadows of its maps are taken as they are.
+        change: relative RMS that a doubling may still make [1].
+
+    Returns:
+        The light of the last doubling.
+
+    Raises:
+        ParameterError: where 32768 steps are too few.
+    """
+    method = BruteForce(FIRST_STEPS)
+    before = method.gather(stage).in_scattering
+    while method.steps < MOST_STEPS:
+        method = method.refined()
+        after = method.gather(stage).in_scattering
+        changed = measure_error(before, after).relative_rms
+        if changed < change:
+            return Truth(after, method.steps, changed)
+        before = after
+    raise ParameterError(f"the light still changes by more than {change:g} at {MOST_STEPS} steps along every ray")
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Settings that keep within a tolerance, and what that was judged by.
+
+    Args:
+        method: the settings.
+        error: on the coarse picture.
+        refinements: how often they were refined.
+    """
+
+    method: Method
+    error: LightError
+    refinements: int
+
+
+def choose_settings(
+    scene: ShaftScene, method: Method, tolerance: float, maps: MapSettings | None = None, width: int = 192
+) -> Chosen:
+    """Refine a method until a coarse picture of the scene keeps within a tolerance.
+
+    A method that fills up pixels errs more in a coarse picture, whose pixels differ more, so the settings are on the safe side.
+
+    Args:
+        scene: what is to be rendered.
+        method: to begin with.
+        tolerance: accepted relative RMS error of the in-scattered light [1].
+        maps: how shadows are found.
+        width: of the coarse picture [pixel]; a smaller scene is taken as it is.
+
+    Returns:
+        The coarsest settings within half the tolerance, or the finest there are.
+
+    Raises:
+        ParameterError: for a tolerance that is not positive.
+    """
+    if not tolerance > 0.0:
+        raise ParameterError(f"expected a positive tolerance, got {tolerance}")
+    camera = scene.camera
+    small = min(width, camera.width)
+    stage = prepare_stage(scene.resized(small, max(1, round(small * camera.height / camera.width))), maps)
+    truth = compute_truth(stage, min(1e-3, 0.1 * tolerance)).in_scattering
+    for number in range(MOST_REFINEMENTS + 1):
+        error = measure_error(method.gather(stage).in_scattering, truth)
+        if error.relative_rms <= 0.5 * tolerance or number == MOST_REFINEMENTS:
+            break
+        method = method.refined()
+    return Chosen(method, error, number)

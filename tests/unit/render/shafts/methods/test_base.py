@@ -1,0 +1,41 @@
+import pytest
+
+from render.errors import ParameterError
+from render.shafts.methods import METHODS, find_method
+from render.shafts.methods.base import Gathered, check_steps
+from render.shafts.truth import measure_error
+from tests.support.shaft_scenes import small_scene, small_stage
+
+STEPS = 256
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_at_full_density_is_brute_force(name: str) -> None:
+    stage = small_stage(small_scene(12, 8))
+    exact = METHODS["brute_force"].at_full_density(STEPS).gather(stage).in_scattering
+    dense = METHODS[name].at_full_density(STEPS).gather(stage).in_scattering
+    # Lit stretches are resolved to the texel, which steps are not: what is left is the error of the steps.
+    assert measure_error(dense, exact).relative_rms < (3e-3 if name == "chen2011" else 1e-4)
+    coarse = METHODS[name].at_full_density(STEPS // 16).gather(stage).in_scattering
+    assert measure_error(coarse, exact).relative_rms > 1e-4
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_refinement_comes_nearer_to_the_truth(name: str) -> None:
+    stage = small_stage(small_scene(32, 20))
+    truth = METHODS["brute_force"].at_full_density(1024).gather(stage).in_scattering
+    method = METHODS[name]
+    errors = []
+    for _ in range(3):
+        errors.append(measure_error(method.gather(stage).in_scattering, truth).relative_rms)
+        method = method.refined()
+    assert errors[2] < 0.7 * errors[0]
+
+
+def test_a_method_that_there_is_not() -> None:
+    assert find_method("auto") is METHODS["auto"]
+    with pytest.raises(ParameterError, match="there are auto, brute_force"):
+        find_method("fast")
+    with pytest.raises(ParameterError, match="at least one step"):
+        check_steps(0)
+    assert not Gathered(small_stage().background).modelled

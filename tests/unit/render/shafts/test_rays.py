@@ -1,0 +1,30 @@
+import torch
+
+from render.shafts.rays import ViewRays, edges_towards_lamp, uniform_edges
+
+
+def test_points_and_edges_lie_along_the_rays() -> None:
+    rays = ViewRays(
+        torch.tensor([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]]),
+        torch.tensor([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+        torch.tensor([4.0, 8.0]),
+    )
+    edges = uniform_edges(rays, 4)
+    torch.testing.assert_close(edges, torch.tensor([[0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 2.0, 4.0, 6.0, 8.0]]))
+    torch.testing.assert_close(rays.points_at(edges)[0, -1], torch.tensor([1.0, 6.0, 3.0]))
+    assert len(rays[1:]) == 1
+    assert rays[torch.tensor([1])].distance.tolist() == [8.0]
+    assert rays.doubled().distance.dtype == torch.float64
+
+
+def test_steps_are_short_near_a_lamp_and_tile_the_ray() -> None:
+    rays = ViewRays(torch.zeros(2, 3), torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), torch.tensor([100.0, 10.0]))
+    edges = edges_towards_lamp(rays, (60.0, 1.0, 0.0), 0.1, 12)
+    assert edges.shape == (2, 13)
+    assert (edges.diff(dim=1) >= 0.0).all()
+    torch.testing.assert_close(edges[:, -1], rays.distance)
+    assert torch.equal(edges[:, 0], torch.zeros(2))
+    lengths = edges[0].diff()
+    shortest = int(lengths.argmin())
+    assert 55.0 < float(edges[0, shortest]) < 61.0
+    assert float(lengths.min()) < 0.1 * float(lengths.max())
