@@ -1,9 +1,9 @@
 """Adaptive marching after Tan et al. 2020, "Adaptive volumetric light and atmospheric scattering": every part can be switched off.
 
 What is smooth is computed rarely and what is sharp often. Along a ray, the light that the air would scatter without shadows needs few
-steps (short ones near the eye, longer ones beyond), each of which looks up the shadows at several places. Across the image few
-rays are marched: one pixel of a block, or samples on epipolar lines. Pixels are marched by themselves where the depth jumps or where
-the light of neighbouring marched pixels differs.
+steps (shorter ones near a lamp), each of which looks up the shadows at several places. Across the image few rays are marched: for
+the sun samples on epipolar lines, for lamps one pixel of a block, for the glow around a lamp is no feature of lines. Pixels are marched
+by themselves where the depth jumps or where the light of neighbouring marched pixels differs.
 """
 
 import math
@@ -26,6 +26,9 @@ from render.shafts.rays import ViewRays, edges_towards_lamp
 from render.shafts.stage import Clock, Stage
 from render.shafts.step_schedule import StepSchedule
 
+SMALLEST_LINES, SMALLEST_SAMPLES = 200, 40
+"""Epipolar lines along the height of an image, and marched samples along a line of that length, below which no image goes."""
+
 
 @dataclass(frozen=True)
 class Adaptive:
@@ -37,7 +40,7 @@ class Adaptive:
         near_share: share of the steps that the near level has, 0..1; 0 for equal steps.
         near_part: share of the longest ray that the near level covers, 0..1.
         factor: edge of the blocks of which one pixel is marched [pixel]; 1 for every pixel.
-        lines: epipolar lines in the place of blocks; None for blocks.
+        lines: epipolar lines for the sun; None for blocks.
         depth_tolerance: ratio of depths minus 1 within which pixels belong together.
         contrast: difference of light between neighbouring marched pixels, as a share of the mean light of the image, above which the
             pixels between them are marched; infinite for never.
@@ -48,14 +51,14 @@ class Adaptive:
         ParameterError: for numbers outside these bounds.
     """
 
-    steps: int = 12
-    looks: ShadowLooks = field(default_factory=lambda: ShadowLooks(8, 4))
+    steps: int = 16
+    looks: ShadowLooks = field(default_factory=lambda: ShadowLooks(7, 4))
     near_share: float = 0.0
     near_part: float = 0.3
     factor: int = 3
-    lines: EpipolarSettings | None = None
+    lines: EpipolarSettings | None = field(default_factory=lambda: EpipolarSettings(2.5, 1.0, 16, 0.1))
     depth_tolerance: float = 0.1
-    contrast: float = 0.25
+    contrast: float = 0.4
     spent: float = 1e-3
     short_near_lamps: bool = True
 
@@ -79,20 +82,20 @@ class Adaptive:
                 light += march_rays(stage.scene.air, alone, rays, rule, schedule.steps, self.spent, self.looks)
             return light
 
-        shadows = (
-            f"{self.steps} steps of {self.looks.count} looks for shadows, borders halved {self.looks.halvings} times,"
-        )
-        if self.lines is not None:
-            light = gather_along_lines(stage, self.lines, marcher, clock)
-            return Gathered(light, (f"{shadows} along the samples of {describe(self.lines)}",), seconds=clock.seconds)
-        if self.factor == 1:
-            with clock.timed("marching"):
-                return Gathered(
-                    marcher(stage.lighting, stage.rays, None), (f"{shadows} along every ray",), (), clock.seconds
-                )
-        light, marched = self._gather_blocks(stage, marcher, clock)
-        said = f"{shadows} along {marched:.1%} of the rays: one in {self.factor**2}, and those at edges"
-        return Gathered(light, (said,), seconds=clock.seconds)
+        said = [
+            f"{self.steps} steps of {self.looks.count} looks for shadows, borders halved {self.looks.halvings} times"
+        ]
+        light, blocks = torch.zeros_like(stage.background), stage.lighting
+        if self.lines is not None and blocks.sun is not None:
+            lines = _limit_lines(self.lines, stage.scene.camera.height)
+            light = gather_along_lines(stage, Lighting(blocks.sun), lines, marcher, clock)
+            blocks = Lighting(points=blocks.points)
+            said.append(f"the sun: {describe(lines)}")
+        if blocks.sun is not None or blocks.points:
+            more, marched = self._gather_blocks(stage, blocks, marcher, clock)
+            light = light + more
+            said.append(f"{blocks.names}: {marched:.1%} of the rays marched")
+        return Gathered(light, tuple(said), seconds=clock.seconds)
 
     def schedule(self, longest: float) -> StepSchedule:
         """Steps along rays up to a length [m]."""
@@ -107,13 +110,18 @@ class Adaptive:
         lamp = alone.points[0].light
         return lambda rays: edges_towards_lamp(rays, lamp.position, lamp.radius, self.steps)
 
-    def _gather_blocks(self, stage: Stage, marcher: LineMarcher, clock: Clock) -> tuple[Tensor, float]:
+    def _gather_blocks(
+        self, stage: Stage, lights: Lighting, marcher: LineMarcher, clock: Clock
+    ) -> tuple[Tensor, float]:
         """Light of all pixels, and the share of them that was marched."""
         camera = stage.scene.camera
+        if self.factor == 1:
+            with clock.timed("marching"):
+                return marcher(lights, stage.rays, None), 1.0
         frame = ReducedFrame(camera.width, camera.height, self.factor)
         with clock.timed("marching"):
             pixels = frame.pixels()
-            marched = marcher(stage.lighting, stage.rays[pixels], None).reshape(len(frame.rows), len(frame.columns), 3)
+            marched = marcher(lights, stage.rays[pixels], None).reshape(len(frame.rows), len(frame.columns), 3)
         with clock.timed("filling"):
             filled = fill_frame(frame, marched, stage.depth_buffer, 2, self.depth_tolerance)
             light = filled.image.flatten(0, 1)
@@ -121,7 +129,7 @@ class Adaptive:
             refined[frame.rows[:, None], frame.columns] = False
             own = torch.nonzero(refined.flatten())[:, 0]
         with clock.timed("refinement"):
-            light[own] = marcher(stage.lighting, stage.rays[own], None)
+            light[own] = marcher(lights, stage.rays[own], None)
         return light, (len(pixels) + len(own)) / len(light)
 
     def _contrasting(self, marched: Tensor, frame: ReducedFrame) -> Tensor:
@@ -150,3 +158,9 @@ class Adaptive:
     def at_full_density(self, steps: int) -> Method:
         """Equal steps along every ray, one look in each, to its end."""
         return Adaptive(steps, ShadowLooks(), 0.0, 1.0, 1, None, contrast=math.inf, spent=0.0, short_near_lamps=False)
+
+
+def _limit_lines(lines: EpipolarSettings, height: int) -> EpipolarSettings:
+    """Lines and samples no farther apart than light in a small image of a height [pixel] allows."""
+    gap, stride = height / SMALLEST_LINES, max(1, height // SMALLEST_SAMPLES)
+    return replace(lines, line_gap=min(lines.line_gap, gap), stride=min(lines.stride, stride))

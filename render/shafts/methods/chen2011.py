@@ -54,7 +54,7 @@ class Chen2011:
             for lighting in stage.lighting.separate():
                 light += marcher(lighting, stage.rays, own)
             return Gathered(light, ("lit stretches of every pixel's ray",), seconds=clock.seconds)
-        light = gather_along_lines(stage, self.lines, marcher, clock)
+        light = gather_along_lines(stage, stage.lighting, self.lines, marcher, clock)
         said = f"lit stretches along the samples of {describe(self.lines)}; lamps in {steps} equal steps"
         return Gathered(light, (said,), seconds=clock.seconds)
 

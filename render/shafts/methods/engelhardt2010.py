@@ -40,7 +40,7 @@ class Engelhardt2010:
         def marcher(lighting: Lighting, rays: ViewRays, _: Tensor | None) -> Tensor:
             return march_rays(air, lighting, rays, lambda part: uniform_edges(part, steps), steps)
 
-        light = gather_along_lines(stage, self.lines, marcher, clock)
+        light = gather_along_lines(stage, stage.lighting, self.lines, marcher, clock)
         said = f"{steps} equal steps along the samples of {describe(self.lines)}, lit by {stage.lighting.names}"
         return Gathered(light, (said,), seconds=clock.seconds)
 

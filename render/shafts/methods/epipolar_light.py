@@ -30,11 +30,14 @@ def find_light_image(stage: Stage, lighting: Lighting) -> LightImage | None:
     return LightImage(x, y, w, camera.width, camera.height)
 
 
-def gather_along_lines(stage: Stage, settings: EpipolarSettings, marcher: LineMarcher, clock: Clock) -> Tensor:
+def gather_along_lines(
+    stage: Stage, lights: Lighting, settings: EpipolarSettings, marcher: LineMarcher, clock: Clock
+) -> Tensor:
     """Light of all pixels `(pixel, channel)`: lights one by one, each with its lines.
 
     Args:
         stage: the scene.
+        lights: those to gather.
         settings: how densely lines and samples lie.
         marcher: gathers the light of rays.
         clock: takes the seconds of each part.
@@ -43,7 +46,7 @@ def gather_along_lines(stage: Stage, settings: EpipolarSettings, marcher: LineMa
         The sum over the lights.
     """
     total = torch.zeros_like(stage.background)
-    for lighting in stage.lighting.separate():
+    for lighting in lights.separate():
         image = find_light_image(stage, lighting)
         if image is None:
             total += marcher(lighting, stage.rays, None)

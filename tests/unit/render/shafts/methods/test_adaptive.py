@@ -4,7 +4,6 @@ from dataclasses import replace
 import pytest
 
 from render.errors import ParameterError
-from render.shafts.epipolar_sampling import EpipolarSettings
 from render.shafts.march import ShadowLooks
 from render.shafts.methods import Adaptive, BruteForce
 from tests.support.shaft_scenes import relative_rms, small_scene, small_stage
@@ -22,23 +21,29 @@ def test_the_usual_settings_meet_two_percent() -> None:
 
 
 @pytest.mark.parametrize(
-    "switched_off", [{"looks": ShadowLooks()}, {"contrast": math.inf}, {"steps": 3, "looks": ShadowLooks(2)}]
+    "switched_off",
+    [
+        {"looks": ShadowLooks()},
+        {"lines": None, "contrast": math.inf, "factor": 6},
+        {"steps": 3, "looks": ShadowLooks(2)},
+        {"short_near_lamps": False, "steps": 8},
+    ],
 )
 def test_each_part_earns_its_place(switched_off: dict[str, object]) -> None:
     assert error_of(replace(Adaptive(), **switched_off)) > 1.2 * error_of(Adaptive())
 
 
-def test_lines_and_two_levels_of_steps_work_too() -> None:
-    assert error_of(Adaptive(lines=EpipolarSettings(1.0, 1.0, 8, 0.05))) < 0.06
-    assert error_of(Adaptive(factor=1, near_share=0.5)) < 0.02
+def test_blocks_and_two_levels_of_steps_work_too() -> None:
+    assert error_of(replace(Adaptive(), lines=None)) < 0.02
+    assert error_of(replace(Adaptive(), near_share=0.5, steps=32)) < 0.03
     schedule = Adaptive(steps=10, near_share=0.4, near_part=0.25).schedule(200.0)
     assert (schedule.near_steps, schedule.far_steps, schedule.near_distance) == (4, 6, 50.0)
 
 
 def test_the_report_says_what_was_marched() -> None:
     gathered = Adaptive(factor=4).gather(STAGE)
-    assert "one in 16" in gathered.modelled[0]
-    assert {"marching", "filling", "refinement"} == set(gathered.seconds)
+    assert [sentence.partition(":")[0] for sentence in gathered.modelled[1:]] == ["the sun", "one lamp"]
+    assert {"epipolar lines", "marching", "interpolation", "filling", "refinement"} == set(gathered.seconds)
 
 
 def test_numbers_without_meaning_are_refused() -> None:

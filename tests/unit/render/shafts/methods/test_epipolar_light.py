@@ -33,7 +33,7 @@ def test_lights_are_gathered_one_by_one_and_added() -> None:
         seen.append((lighting.names, line is None))
         return torch.full((len(rays), 3), 1.0 if lighting.sun is not None else 10.0)
 
-    light = gather_along_lines(stage, EpipolarSettings(), marcher, Clock())
+    light = gather_along_lines(stage, stage.lighting, EpipolarSettings(), marcher, Clock())
     torch.testing.assert_close(light, torch.full_like(light, 11.0))
     assert ("the sun", False) in seen
     assert ("one lamp", True) in seen
@@ -47,6 +47,8 @@ def test_a_sun_in_line_with_parallel_rays_has_no_lines() -> None:
     stage = small_stage(replace(scene, camera=camera, lights=(), meshes=scene.meshes[:1]))
     image = find_light_image(stage, stage.lighting)
     assert image is None or max(abs(image.x), abs(image.y)) > 0.0
-    light = gather_along_lines(stage, EpipolarSettings(), lambda _, rays, __: torch.ones(len(rays), 3), Clock())
+    light = gather_along_lines(
+        stage, stage.lighting, EpipolarSettings(), lambda _, rays, __: torch.ones(len(rays), 3), Clock()
+    )
     torch.testing.assert_close(light, torch.ones_like(light))
     assert "16th" in describe(EpipolarSettings())
