@@ -115,7 +115,7 @@ def _settle(problem: FitProblem, coarse: OptimiserResult, seed: int, polish: boo
         return coarse.stop_reason
 
     scored = run_logged(score, problem, problem.space.dimension, Budget())
-    if not polish:
+    if not polish or scored.stop_reason is StopReason.INTERRUPTED:
         return scored
     budget = Budget(evaluations=POLISHING_EVALUATIONS)
     polished = POLISHING.minimise(problem, problem.space.dimension, budget, seed, start=scored.best)
