@@ -11,11 +11,10 @@ from render.atmosphere.air_ray import AirRay
 from render.atmosphere.ray_quadrature import RayNodes, place_nodes
 from render.atmosphere.rays import chosen_rays
 from render.atmosphere.shells import Shells
-from render.atmosphere.sky import AirLight, check_vectors, enter_air
+from render.atmosphere.sky import AirLight, check_vectors, enter_air, enter_air_towards
 from render.atmosphere.source_function import SourceFunction, look_up_source
 from render.atmosphere.sun_columns import SunColumns, look_up_sunlight
 from render.cornette_shanks import evaluate_cornette_shanks
-from render.errors import ParameterError
 from render.rayleigh_phase import evaluate_rayleigh_phase
 
 RAYS_AT_ONCE = 1 << 12
@@ -107,17 +106,13 @@ def compute_light_to_point(
         ParameterError: for other shapes, numbers that are not finite, or a point that is the camera.
     """
     camera, point, sun, shadow = check_vectors(camera, point, sun, shadow_length, unit=False)
-    offset = point - camera
-    distance = torch.linalg.vector_norm(offset, dim=-1)
-    if not bool((distance > 0.0).all()):
-        raise ParameterError("a point that is looked at must lie apart from the camera; between them there is no air")
-    rays, entry, misses = enter_air(source.atmosphere, camera, offset / distance[..., None], sun)
+    rays, distance, misses = enter_air_towards(source.atmosphere, camera, point, sun)
     flat = _flattened(rays)
-    inside = torch.minimum((distance - entry).clamp(min=0.0).reshape(-1), flat.length(source.atmosphere))
+    inside = torch.minimum(distance.reshape(-1), flat.length(source.atmosphere))
     lit = (inside - shadow.reshape(-1)).clamp(min=0.0)
     radiance, _ = compute_radiance_to_distance(source, flat, lit)
     _, through = compute_radiance_to_distance(source, flat, inside)
-    return _as_seen(misses | (entry >= distance), radiance, through)
+    return _as_seen(misses, radiance, through)
 
 
 def _flattened(rays: AirRay) -> AirRay:

@@ -116,12 +116,7 @@ def look_up_radiance_to_point(
     """
     atmosphere = tables.atmosphere
     camera, point, sun, shadow = check_vectors(camera, point, sun, shadow_length, unit=False)
-    offset = point - camera
-    distance = torch.linalg.vector_norm(offset, dim=-1)
-    if not bool((distance > 0.0).all()):
-        raise ParameterError("a point that is looked at must lie apart from the camera; between them there is no air")
-    ray, entry, misses = enter_air(atmosphere, camera, offset / distance[..., None], sun)
-    misses, distance = misses | (entry >= distance), (distance - entry).clamp(min=0.0)
+    ray, distance, misses = enter_air_towards(atmosphere, camera, point, sun)
     passing = look_up_transmittance(
         atmosphere, tables.transmittance, ray.radius, ray.cos_view, distance, ray.intersects_ground
     )
@@ -213,6 +208,22 @@ def enter_air(
         entry,
         misses,
     )
+
+
+def enter_air_towards(
+    atmosphere: AtmosphereParameters, camera: Tensor, point: Tensor, sun: Tensor
+) -> tuple[AirRay, Tensor, Tensor]:
+    """Rays to points from where they enter the air, the distance from there to the points [m], and whether no air lies between.
+
+    Raises:
+        ParameterError: for a point that is the camera.
+    """
+    offset = point - camera
+    distance = torch.linalg.vector_norm(offset, dim=-1)
+    if not bool((distance > 0.0).all()):
+        raise ParameterError("a point that is looked at must lie apart from the camera; between them there is no air")
+    ray, entry, misses = enter_air(atmosphere, camera, offset / distance[..., None], sun)
+    return ray, (distance - entry).clamp(min=0.0), misses | (entry >= distance)
 
 
 def _scattered_separately(tables: AtmosphereTables, ray: AirRay) -> tuple[Tensor, Tensor]:
