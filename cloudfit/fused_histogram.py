@@ -12,6 +12,9 @@ BLOCK = 2048
 LANES = 4
 """Counters of each level that take turns: neighbouring pixels are often alike, and a counter must be written before it is read again."""
 
+SERIAL_VALUES = 4_000_000
+"""Pixels times amounts of air that one thread counts faster, in some milliseconds, than several are woken and wait for each other."""
+
 Floats = NDArray[np.float32]
 
 
@@ -91,9 +94,19 @@ def count_hazes(
     run_in_threads(
         lambda first, last: _count_jobs(clouds, skies, haze, levels, rooted, np.float32(steps), counts, first, last),
         jobs,
-        1,
+        _jobs_at_once(jobs, haze.shape[1] * skies.shape[1]),
     )
     return counts
+
+
+def _jobs_at_once(jobs: int, looked_at: int) -> int:
+    """One, or all where the whole is so little that waking threads would cost more than it saves.
+
+    Args:
+        jobs: number of them.
+        looked_at: values that each looks at.
+    """
+    return jobs if jobs * looked_at <= SERIAL_VALUES else 1
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -148,6 +161,6 @@ def share_hazes(
     run_in_threads(
         lambda first, last: _share_jobs(clouds, skies, haze, positions, rooted, np.float32(steps), counts, first, last),
         len(clouds) * len(skies),
-        1,
+        _jobs_at_once(len(clouds) * len(skies), haze.shape[1] * skies.shape[1]),
     )
     return counts

@@ -1,32 +1,34 @@
 """The search of a fit: on some of the cloud's pixels, then on all of them among the best points found.
 
 A loss of histograms is a matter of counting, and a sample of the pixels counts nearly as well at a part of the price: with n of them its
-floor is that of n pixels. So the optimiser runs on a sample; its best points are scored on all pixels, and the best of these is
-polished there.
+floor is that of n pixels. So the optimiser runs on a sample; its best points are scored on all pixels, and a few generations bred
+from these settle there what a sample cannot tell.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from cloudfit.fit_problem import FitProblem
 from cloudfit.fit_types import FitOptions
-from cloudfit.optimisers import OPTIMISERS, POLISHING
+from cloudfit.optimisers import OPTIMISERS
 from cloudfit.optimisers.base import Budget, EvaluationLog, OptimiserResult, StopReason, pool_results, run_logged
+from cloudfit.optimisers.screened_evolution import ScreenedEvolution
 
 USUAL_EVALUATIONS = 1500
 """Of one search without a budget; the progress that is shown goes by it."""
 
-RESCORED = 96
-"""Best points of the sample that are scored on all pixels."""
+RESCORED = 64
+"""Best points of the sample that are scored on all pixels; of six photographs, three seeds each, the best was always among the first 48."""
 
 APART = 0.01
 """In the unit cube, between two of them: the end of a search crowds around one point."""
 
-POLISHING_EVALUATIONS = 120
-"""On all pixels, from the best of them."""
+SETTLING = ScreenedEvolution(largest_iterations=6, patience=6)
+"""What breeds on all pixels. Its 120 evaluations gain as much as as many of SBPLX, and being batches take 0.3 s instead of 0.8."""
 
 Progress = Callable[[str, float], None]
 
@@ -79,8 +81,7 @@ def search_parameters(
     coarse = _run(sampled, options, on_progress)
     if sampled is problem:
         return SearchOutcome(sampled, coarse, coarse)
-    final = _settle(problem, coarse, options.seed, polish=coarse.stop_reason is not StopReason.INTERRUPTED)
-    return SearchOutcome(sampled, coarse, final)
+    return SearchOutcome(sampled, coarse, _settle(problem, coarse, options.seed))
 
 
 def _run(problem: FitProblem, options: FitOptions, on_progress: Progress) -> OptimiserResult:
@@ -106,22 +107,26 @@ def _run(problem: FitProblem, options: FitOptions, on_progress: Progress) -> Opt
     return pool_results(results)
 
 
-def _settle(problem: FitProblem, coarse: OptimiserResult, seed: int, polish: bool) -> OptimiserResult:
-    """Score the best points of a search on all pixels, and polish the best of them."""
+def _settle(problem: FitProblem, coarse: OptimiserResult, seed: int) -> OptimiserResult:
+    """Score the best points of a search on all pixels, and breed from them there; after an interruption only score the best."""
     points = coarse.evaluated[_best_apart(coarse.evaluated, coarse.losses)]
 
-    def score(log: EvaluationLog) -> StopReason:
-        log.evaluate(points if polish else points[:1])
+    def breed_from_scored(log: EvaluationLog) -> StopReason:
+        state = SETTLING.resume(points, log.evaluate(points), seed)
+        while SETTLING.stop_reason(state) is None:
+            population, state = SETTLING.ask(state)
+            state = SETTLING.tell(state, population, log.evaluate(population))
         return coarse.stop_reason
 
-    scored = run_logged(score, problem, problem.space.dimension, Budget())
-    if not polish or scored.stop_reason is StopReason.INTERRUPTED:
-        return scored
-    budget = Budget(evaluations=POLISHING_EVALUATIONS)
-    polished = POLISHING.minimise(problem, problem.space.dimension, budget, seed, start=scored.best)
-    pooled = pool_results([scored, polished])
-    interrupted = polished.stop_reason is StopReason.INTERRUPTED
-    return pooled if interrupted else replace(pooled, stop_reason=coarse.stop_reason)
+    def score_best(log: EvaluationLog) -> StopReason:
+        log.evaluate(points[:1])
+        return StopReason.INTERRUPTED
+
+    if coarse.stop_reason is not StopReason.INTERRUPTED:
+        # An interruption before anything is scored must not lose what the search had found.
+        with suppress(KeyboardInterrupt):
+            return run_logged(breed_from_scored, problem, problem.space.dimension, Budget())
+    return run_logged(score_best, problem, problem.space.dimension, Budget())
 
 
 def _best_apart(points: Tensor, losses: Tensor) -> Tensor:

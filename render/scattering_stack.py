@@ -186,14 +186,16 @@ class ScatteringStack(nn.Module):
         images, nodes = list(range(len(self.relative))), torch.arange(node_weights.shape[1])
         if not mean.requires_grad:
             # A candidate lies among 16 nodes, and its high orders may be nothing: most of the tables need not be read.
-            seen = mean > SMALLEST_PART * mean.sum(1, keepdim=True)
-            images, nodes = torch.nonzero(seen.any(0)).flatten().tolist(), torch.nonzero(node_weights.any(0)).flatten()
+            images = torch.nonzero((mean > SMALLEST_PART * mean.sum(1, keepdim=True)).any(0)).flatten().tolist()
+            read = torch.nonzero(node_weights.any(0)).flatten()
+            # Rows are copied to be left out, which costs more than it saves where most are wanted.
+            nodes = read if 2 * len(read) < len(nodes) else nodes
         weights = node_weights.index_select(1, nodes)
         multiple = mean.new_zeros(len(mean), self.relative.shape[2])
         for number in images:
             relative = self.relative[number] if len(nodes) == self.relative.shape[1] else self.relative[number, nodes]
             # Cubic weights may be negative: next to a black pixel the interpolated image can fall a little below zero.
-            multiple = multiple + mean[:, number, None] * (weights @ relative.to(weights)).clamp(min=0.0)
+            multiple = torch.addcmul(multiple, mean[:, number, None], (weights @ relative.to(weights)).clamp(min=0.0))
         return multiple
 
     def _albedo_powers(self, albedo: Tensor, thinner: Tensor, node_weights: Tensor) -> Tensor:

@@ -141,6 +141,10 @@ class ScreenedEvolution:
         design = space_filling_points(self.first_design, dimension, seed, middle)
         return EvolutionState(seed, nothing, nothing[:, 0], design[: self.first_look], design[self.first_look :])
 
+    def resume(self, points: Tensor, losses: Tensor, seed: int) -> EvolutionState:
+        """Points (evaluation, parameter) whose losses (evaluation,) are known already; children of the best of them come next."""
+        return EvolutionState(seed, points.double(), losses.double(), None)
+
     def ask(self, state: EvolutionState) -> tuple[Tensor, EvolutionState]:
         """The next design, or the chosen children of a generation."""
         if state.next_design is not None:
