@@ -94,6 +94,14 @@ def _phase(asymmetry: float, cosine: float) -> float:
 
 
 @loop
+def _brightest_place(closest: Doubles, k: int, begin: float, end: float) -> float:
+    """As `brightest_places`."""
+    u, w, aside = begin - closest[k, 0], end - closest[k, 0], closest[k, 1]
+    near, far = np.sqrt(aside + u * u), np.sqrt(aside + w * w)
+    return closest[k, 0] + (u * far + w * near) / (near + far)
+
+
+@loop
 def _lamp_step(
     lamps: Doubles, closest: Doubles, k: int, layers: Doubles, rays: Floats, n: int, begin: float, end: float,
     greys: Doubles, arriving: Doubles, light: Doubles, share: float,
@@ -103,8 +111,7 @@ def _lamp_step(
     A row of `lamps` is its position, intensity, radius and reach; `closest` the place along the ray nearest to it, and the square of h.
     """
     u, w, aside = begin - closest[k, 0], end - closest[k, 0], closest[k, 1]
-    near, far = np.sqrt(aside + u * u), np.sqrt(aside + w * w)
-    middle = closest[k, 0] + (u * far + w * near) / (near + far)
+    middle = _brightest_place(closest, k, begin, end)
     dx = rays[n, 0] + middle * rays[n, 3] - lamps[k, 0]
     dy = rays[n, 1] + middle * rays[n, 4] - lamps[k, 1]
     dz = rays[n, 2] + middle * rays[n, 5] - lamps[k, 2]
@@ -229,7 +236,10 @@ def _march_ray(
             before[c] += step[c]
             least = min(least, before[c])
         for k in range(len(lamps) if end > begin else 0):
-            share = lamp_share(cubes, k, lamp_line(lamps, k, rays, n), begin, end - begin, count, halvings)
+            first, length = begin, end - begin
+            if count == 1 and halvings == 0:
+                first, length = _brightest_place(closest, k, begin, end), 0.0
+            share = lamp_share(cubes, k, lamp_line(lamps, k, rays, n), first, length, count, halvings)
             if share > 0.0:
                 _lamp_step(lamps, closest, k, layers, rays, n, begin, end, greys, arriving, light, share)
         low = high
