@@ -2,9 +2,9 @@
 
 Three scenes that `cloudfit shafts` shows (a ridge, a window, lamps at night), each made ready once: depth buffer and shadow maps are the
 same for all methods and are not timed. A method's seconds are those of its in-scattered light, its error that against the truth: a
-march along every pixel's ray whose steps are doubled until they change the light by less than 0.1 %, with the same maps. Methods take turns. Each runs with its
-usual settings and refined, so that times can be compared at equal error. Brute force has the 200 steps of Ali et al. 2017. A second
-table grows the number of triangles, a third that of the lamps.
+march along every pixel's ray whose steps are doubled until they change the light by less than 0.1 %, with the same maps. Methods take
+turns. Each runs with its usual settings and refined, so that times can be compared at equal error. Brute force has the 200 steps of Ali
+et al. 2017. A second table grows the number of triangles, a third that of the lamps.
 """
 
 import argparse
