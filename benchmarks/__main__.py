@@ -17,6 +17,7 @@ from benchmarks import (
     photographs,
     promises,
     recovery,
+    shafts,
     stack,
     stack_cost,
     tradeoff,
@@ -41,6 +42,7 @@ BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType(
             paper_experiment,
             fog,
             atmosphere,
+            shafts,
         )
     }
 )

@@ -12,7 +12,7 @@ from render.fused import announce_compilation, run_in_threads
 from render.media import ExponentialDecay, LinearDecay, Uniform
 from render.shafts.air import Air
 from render.shafts.cube_shadow_map import CubeShadowMap
-from render.shafts.fused_shadows import OPTIONS, Doubles, Floats, lamp_line, lamp_share, sun_line, sun_share
+from render.shafts.fused_shadows import OPTIONS, Doubles, Floats, Line, lamp_line, lamp_share, sun_line, sun_share
 from render.shafts.lights import Lighting
 from render.shafts.march import ShadowLooks
 from render.shafts.rays import ViewRays
@@ -94,6 +94,24 @@ def _phase(asymmetry: float, cosine: float) -> float:
 
 
 @loop
+def _brightest_place(closest: Doubles, k: int, begin: float, end: float) -> float:
+    """As `brightest_places`."""
+    u, w, aside = begin - closest[k, 0], end - closest[k, 0], closest[k, 1]
+    near, far = np.sqrt(aside + u * u), np.sqrt(aside + w * w)
+    return closest[k, 0] + (u * far + w * near) / (near + far)
+
+
+@loop
+def _share_of_lamp(
+    cubes: Floats, closest: Doubles, k: int, line: Line, begin: float, end: float, count: int, halvings: int
+) -> float:
+    """Lit share of a step; its only look is at the brightest place."""
+    if count == 1 and halvings == 0:
+        return lamp_share(cubes, k, line, _brightest_place(closest, k, begin, end), 0.0, count, halvings)
+    return lamp_share(cubes, k, line, begin, end - begin, count, halvings)
+
+
+@loop
 def _lamp_step(
     lamps: Doubles, closest: Doubles, k: int, layers: Doubles, rays: Floats, n: int, begin: float, end: float,
     greys: Doubles, arriving: Doubles, light: Doubles, share: float,
@@ -103,8 +121,7 @@ def _lamp_step(
     A row of `lamps` is its position, intensity, radius and reach; `closest` the place along the ray nearest to it, and the square of h.
     """
     u, w, aside = begin - closest[k, 0], end - closest[k, 0], closest[k, 1]
-    near, far = np.sqrt(aside + u * u), np.sqrt(aside + w * w)
-    middle = closest[k, 0] + (u * far + w * near) / (near + far)
+    middle = _brightest_place(closest, k, begin, end)
     dx = rays[n, 0] + middle * rays[n, 3] - lamps[k, 0]
     dy = rays[n, 1] + middle * rays[n, 4] - lamps[k, 1]
     dz = rays[n, 2] + middle * rays[n, 5] - lamps[k, 2]
@@ -229,7 +246,7 @@ def _march_ray(
             before[c] += step[c]
             least = min(least, before[c])
         for k in range(len(lamps) if end > begin else 0):
-            share = lamp_share(cubes, k, lamp_line(lamps, k, rays, n), begin, end - begin, count, halvings)
+            share = _share_of_lamp(cubes, closest, k, lamp_line(lamps, k, rays, n), begin, end, count, halvings)
             if share > 0.0:
                 _lamp_step(lamps, closest, k, layers, rays, n, begin, end, greys, arriving, light, share)
         low = high

@@ -31,8 +31,9 @@ from render.shafts.shadow_map import ShadowMap
 class ShadowLooks:
     """How the lit share of a step is found.
 
-    Without halvings, shadows are looked up in the middles of `count` equal parts of the step. With them, at the ends of the parts; where
-    one end is lit and the other is not, the border between them is halved in so many times, as if the part held no other border.
+    Without halvings, shadows are looked up in the middles of `count` equal parts of the step; the only look of a lamp is where half of its
+    light lies before and half behind. With halvings they are looked up at the ends of the parts; where one end is lit and the other is not,
+    the border between them is halved in so many times, as if the part held no other border.
 
     Args:
         count: parts of a step, at least 1.
@@ -109,7 +110,7 @@ def _march(air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, looks: S
         lit = _lit_share(lighting.sun.visibility, rays, edges, looks)
         light = light + _sunlight(air, lighting.sun, rays, height, steps, depth, lit)
     for point in lighting.points:
-        lit = _lit_share(point.visibility, rays, edges, looks)
+        lit = _lamp_share(point, rays, edges, looks)
         light = light + _point_light(air, point, rays, edges, steps, depth, lit)
     return light
 
@@ -161,6 +162,14 @@ def _lit_share(visibility: Visibility, rays: ViewRays, edges: Tensor, looks: Sha
     mixed = torch.nonzero(lit[..., 1:] != lit[..., :-1], as_tuple=True)
     parts[mixed] = _halve(visibility, rays[mixed[0]], places[..., :-1][mixed], places[..., 1:][mixed], looks.halvings)
     return parts.mean(-1)
+
+
+def _lamp_share(point: PointInScene, rays: ViewRays, edges: Tensor, looks: ShadowLooks) -> Tensor:
+    """The same for a lamp, whose one look is where half of its light lies before and half behind: that may be far from the middle."""
+    if looks != ONE_LOOK:
+        return _lit_share(point.visibility, rays, edges, looks)
+    brightest = brightest_places(rays, edges, point.light.position, point.light.radius)
+    return point.visibility.look_up_lit(rays.points_at(brightest)).to(edges.dtype)
 
 
 def _halve(visibility: Visibility, rays: ViewRays, first: Tensor, last: Tensor, halvings: int) -> Tensor:

@@ -9,7 +9,7 @@ from cloudfit import __version__
 from cloudfit.cli import app
 
 PROJECT = Path(__file__).resolve().parents[3]
-COMMANDS = ("fit", "precompute", "render", "fog", "compare", "info", "demo")
+COMMANDS = ("fit", "precompute", "render", "fog", "shafts", "compare", "info", "demo")
 RUNNER = CliRunner(env={"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"})
 
 
