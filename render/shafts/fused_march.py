@@ -10,8 +10,10 @@ from torch import Tensor
 
 from render.fused import announce_compilation, run_in_threads
 from render.media import ExponentialDecay, LinearDecay, Uniform
-from render.shafts.air import Air
+from render.shafts.air import Air, Constituent
 from render.shafts.cube_shadow_map import CubeShadowMap
+from render.shafts.fog_bank import FogBank
+from render.shafts.fused_banks import Banks, bank_arrays, bank_length, measure_banks, sun_through_banks
 from render.shafts.fused_shadows import OPTIONS, Doubles, Floats, Line, lamp_line, lamp_share, sun_line, sun_share
 from render.shafts.lights import Lighting
 from render.shafts.march import ShadowLooks
@@ -26,6 +28,9 @@ loop = njit(**OPTIONS)
 
 KINDS = {Uniform: 0.0, LinearDecay: 1.0, ExponentialDecay: 2.0}
 """Numbers of the profiles."""
+
+BANK = 3.0
+"""Number of a bank of fog, whose depths are not those of a layer."""
 
 
 @loop
@@ -114,7 +119,7 @@ def _share_of_lamp(
 @loop
 def _lamp_step(
     lamps: Doubles, closest: Doubles, k: int, layers: Doubles, rays: Floats, n: int, begin: float, end: float,
-    greys: Doubles, arriving: Doubles, light: Doubles, share: float,
+    greys: Doubles, arriving: Doubles, light: Doubles, share: float, banks: Banks,
 ) -> None:  # fmt: skip
     """Add what one step scatters of one point light.
 
@@ -135,13 +140,17 @@ def _lamp_step(
     if lamps[k, 7] < np.inf:
         square = (distance / lamps[k, 7]) * (distance / lamps[k, 7])
         spread *= (1.0 - square * square) * (1.0 - square * square)
-    channels = len(arriving)
+    channels, first = len(arriving), len(layers) - len(banks[2])
     for c in range(channels):
         weight = depth = 0.0
         for m in range(len(layers)):
             if c == 0:
                 greys[len(layers) + m] = layers[m, 9] * _phase(layers[m, 10], cosine) * greys[m]
-                greys[2 * len(layers) + m] = _grey_depth(layers, m, lamps[k, 2] + dz, lamps[k, 2], distance)
+                if layers[m, 0] == BANK:
+                    length = bank_length(banks, k + 2, m - first, lamps[k, 0] + dx, lamps[k, 1] + dy, lamps[k, 2] + dz)
+                    greys[2 * len(layers) + m] = layers[m, 1] * length
+                else:
+                    greys[2 * len(layers) + m] = _grey_depth(layers, m, lamps[k, 2] + dz, lamps[k, 2], distance)
             weight += greys[len(layers) + m] * layers[m, 6 + c]
             depth += greys[2 * len(layers) + m] * layers[m, 6 + c]
         amount = spread * weight * arriving[c] * np.exp(-depth)
@@ -174,12 +183,16 @@ def _measure_step(
     layers: Doubles, phase: Floats, n: int, low: float, high: float, length: float,
     step: Doubles, source: Doubles, greys: Doubles,
 ) -> None:  # fmt: skip
-    """Optical depth of a step by channel and constituent, and the part of it that scatters sunlight into the ray."""
+    """Optical depth of a step by channel and constituent, and the part of it that scatters sunlight into the ray.
+
+    The grey depths of banks are known already.
+    """
     # Written out: loops over three channels become vector code, whose preparation takes longer than they do.
     red = green = blue = scattered_red = scattered_green = scattered_blue = 0.0
     for m in range(len(layers)):
-        grey = _grey_depth(layers, m, low, high, length)
-        greys[m] = grey
+        if layers[m, 0] != BANK:
+            greys[m] = _grey_depth(layers, m, low, high, length)
+        grey = greys[m]
         scattered = grey * phase[n, m]
         red += grey * layers[m, 6]
         scattered_red += scattered * layers[m, 6]
@@ -195,16 +208,19 @@ def _measure_step(
 
 @loop
 def _sun_step(
-    table: Doubles, heights: Doubles, irradiance: Doubles, low: float, high: float, known: bool, lit: float,
-    before: Doubles, step: Doubles, source: Doubles, sun_low: Doubles, sun_high: Doubles, light: Doubles,
+    sun: Sunlight, banks: Banks, layers: Doubles, rays: Floats, n: int, begin: float, end: float, known: bool,
+    lit: float, work: Work, light: Doubles,
 ) -> None:  # fmt: skip
     """Add the sunlight of one step; `known` if the depth to the sun at its beginning is that at the end of the last one."""
+    table, lowest, spacing, irradiance = sun[1], sun[2][0], sun[2][1], sun[3]
+    before, step, source, sun_low, sun_high, arriving = work[0], work[1], work[2], work[3], work[4], work[5]
     if not known:
-        _look_up_depth(table, heights[0], heights[1], low, sun_low)
-    _look_up_depth(table, heights[0], heights[1], high, sun_high)
+        _look_up_depth(table, lowest, spacing, float(rays[n, 2]) + float(rays[n, 5]) * begin, sun_low)
+    _look_up_depth(table, lowest, spacing, float(rays[n, 2]) + float(rays[n, 5]) * end, sun_high)
+    sun_through_banks(banks, layers, rays, n, 0.5 * (begin + end), arriving)
     channels = len(step)
     for c in range(channels):
-        mean = lit * _mean_exponential(before[c] + sun_low[c], before[c] + step[c] + sun_high[c])
+        mean = lit * arriving[c] * _mean_exponential(before[c] + sun_low[c], before[c] + step[c] + sun_high[c])
         light[c] += irradiance[c] * source[c] * mean
         if channels == 1:
             light[1] += irradiance[1] * source[0] * mean
@@ -214,13 +230,13 @@ def _sun_step(
 
 @loop
 def _march_ray(
-    rays: Floats, edges: Floats, n: int, layers: Doubles, sun: Sunlight, maps: Maps,
+    rays: Floats, edges: Floats, n: int, layers: Doubles, sun: Sunlight, maps: Maps, banks: Banks,
     deepest: float, count: int, halvings: int, work: Work, light: Doubles,
 ) -> None:  # fmt: skip
     """All steps of one ray."""
-    phase, table, heights, irradiance = sun
+    phase, irradiance = sun[0], sun[3]
     frame, tops, lamps, cubes = maps
-    before, step, source, sun_low, sun_high, arriving, greys, closest = work
+    before, step, source, arriving, greys, closest = work[0], work[1], work[2], work[5], work[6], work[7]
     for c in range(3):
         light[c] = 0.0
     for c in range(len(step)):
@@ -232,12 +248,13 @@ def _march_ray(
     for i in range(edges.shape[1] - 1):
         begin, end = float(edges[n, i]), float(edges[n, i + 1])
         high = float(rays[n, 2]) + float(rays[n, 5]) * end
+        measure_banks(banks, layers, rays, n, begin, end, greys)
         _measure_step(layers, phase, n, low, high, end - begin, step, source, greys)
         lit = 0.0
         if has_sun and end > begin:
             lit = sun_share(tops, line, begin, end - begin, count, halvings)
         if lit > 0.0:
-            _sun_step(table, heights, irradiance, low, high, known, lit, before, step, source, sun_low, sun_high, light)
+            _sun_step(sun, banks, layers, rays, n, begin, end, known, lit, work, light)
         known = lit > 0.0
         least = np.inf
         for c in range(len(step)):
@@ -248,7 +265,7 @@ def _march_ray(
         for k in range(len(lamps) if end > begin else 0):
             share = _share_of_lamp(cubes, closest, k, lamp_line(lamps, k, rays, n), begin, end, count, halvings)
             if share > 0.0:
-                _lamp_step(lamps, closest, k, layers, rays, n, begin, end, greys, arriving, light, share)
+                _lamp_step(lamps, closest, k, layers, rays, n, begin, end, greys, arriving, light, share, banks)
         low = high
         if least > deepest:
             break
@@ -256,12 +273,12 @@ def _march_ray(
 
 @loop
 def _march(
-    rays: Floats, edges: Floats, layers: Doubles, sun: Sunlight, maps: Maps, deepest: float, count: int, halvings: int,
-    work: Work, light: Doubles, found: Floats, first: int, last: int,
+    rays: Floats, edges: Floats, layers: Doubles, sun: Sunlight, maps: Maps, banks: Banks, deepest: float, count: int,
+    halvings: int, work: Work, light: Doubles, found: Floats, first: int, last: int,
 ) -> None:  # fmt: skip
     """The rays from `first` to `last`; one channel stands for all where the air is grey."""
     for n in range(first, last):
-        _march_ray(rays, edges, n, layers, sun, maps, deepest, count, halvings, work, light)
+        _march_ray(rays, edges, n, layers, sun, maps, banks, deepest, count, halvings, work, light)
         for c in range(3):
             found[n, c] = light[c]
 
@@ -284,7 +301,8 @@ def march_fused(
     lines = torch.cat([rays.origin, rays.direction], dim=1).float().contiguous().numpy()
     sun = _sun_arrays(air, lighting, rays)
     maps = (*_map_arrays(lighting), *_lamp_arrays(lighting))
-    grey = all(len(set(part.colour)) == 1 for part in air.constituents)
+    banks = bank_arrays(air.banks, lighting)
+    grey = all(len(set(part.colour)) == 1 for part in air.particles)
     channels, deepest = 1 if grey else 3, math.inf if spent <= 0.0 else -math.log(spent)
     borders, layers, out = edges.contiguous().numpy(), _layer_array(air), found.numpy()
 
@@ -292,7 +310,8 @@ def march_fused(
         numbers = tuple(np.zeros(channels) for _ in range(6))
         space = (*numbers, np.zeros(3 * len(layers)), np.zeros((len(maps[2]), 2)))
         _march(
-            lines, borders, layers, sun, maps, deepest, looks.count, looks.halvings, space, np.zeros(3), out, first, last
+            lines, borders, layers, sun, maps, banks, deepest, looks.count, looks.halvings, space, np.zeros(3), out,
+            first, last,
         )  # fmt: skip
 
     run_in_threads(work, len(out), CHUNK)
@@ -300,12 +319,16 @@ def march_fused(
 
 
 def _layer_array(air: Air) -> Doubles:
-    """One row a constituent: kind, extinction, base, top, reference, scale, colour (3), albedo, asymmetry or NaN."""
-    rows = np.zeros((len(air.constituents), 11))
-    for row, part in zip(rows, air.constituents, strict=True):
-        medium = part.medium
-        reference, scale = getattr(medium, "reference", 0.0), getattr(medium, "scale_height", 1.0)
-        row[:6] = (KINDS[type(medium)], getattr(medium, "extinction", 0.0), medium.base, medium.top, reference, scale)
+    """One row for all particles of a kind: kind, extinction, base, top, reference, scale, colour (3), albedo, asymmetry or NaN."""
+    rows = np.zeros((len(air.particles), 11))
+    for row, part in zip(rows, air.particles, strict=True):
+        if isinstance(part, Constituent):
+            medium = part.medium
+            reference, scale = getattr(medium, "reference", 0.0), getattr(medium, "scale_height", 1.0)
+            extinction = getattr(medium, "extinction", 0.0)
+            row[:6] = KINDS[type(medium)], extinction, medium.base, medium.top, reference, scale
+        elif isinstance(part, FogBank):
+            row[:2] = BANK, part.extinction
         row[6:9], row[9] = part.colour, part.albedo
         row[10] = np.nan if part.phase == "rayleigh" else part.asymmetry
     return rows
@@ -315,10 +338,10 @@ def _sun_arrays(air: Air, lighting: Lighting, rays: ViewRays) -> tuple[Floats, D
     """Albedo times phase function `(ray, constituent)`, table of depths, its heights, and the irradiance: empty without a sun."""
     sun = lighting.sun
     if sun is None:
-        phase = np.zeros((len(rays), len(air.constituents) + 1), np.float32)
+        phase = np.zeros((len(rays), len(air.particles) + 1), np.float32)
         return phase, np.zeros((2, 3)), np.array([0.0, 1.0]), np.zeros(0)
     cosine = (rays.direction @ rays.direction.new_tensor(sun.light.direction)).clamp(-1.0, 1.0)
-    phases = [part.albedo * part.evaluate_phase(cosine) for part in air.constituents]
+    phases = [part.albedo * part.evaluate_phase(cosine) for part in air.particles]
     phase = torch.stack([*phases, torch.zeros_like(cosine)], dim=1).contiguous().numpy()
     heights = np.array([sun.depth.lowest, sun.depth.spacing])
     return phase, sun.depth.depths.numpy(), heights, np.array(sun.light.irradiance)

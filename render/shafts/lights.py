@@ -10,7 +10,9 @@ from torch import Tensor
 from render.camera import Vector
 from render.errors import ParameterError
 from render.media.sphere import EARTH_RADIUS
-from render.shafts.air import Air, Colour, check_colour
+from render.shafts.air import Air
+from render.shafts.fog_bank import Shades
+from render.shafts.particles import Colour, check_colour
 
 LOW_SUN = math.sin(math.radians(20.0))
 """Slope of the sun below which the ground counts as round; above it that changes less than 1e-3 of the light."""
@@ -157,19 +159,21 @@ def build_sun_depth(air: Air, sun: Sun, lowest: float, highest: float, heights: 
 
 @dataclass(frozen=True, eq=False)
 class SunInScene:
-    """The sun with what the march asks about it."""
+    """The sun with what the march asks about it: depth of the layers, what casters and what banks of fog leave of it."""
 
     light: Sun
     depth: SunDepthTable
     visibility: Visibility
+    shades: Shades = ()
 
 
 @dataclass(frozen=True, eq=False)
 class PointInScene:
-    """A point light with the points that it reaches."""
+    """A point light with the points that it reaches, and what banks of fog leave of it."""
 
     light: PointLight
     visibility: Visibility
+    shades: Shades = ()
 
 
 @dataclass(frozen=True, eq=False)

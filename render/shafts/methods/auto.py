@@ -36,7 +36,7 @@ class Auto:
         method: Method = self.adaptive
         if stage.caster.empty:
             skipped.append("shadows: nothing casts any, so the light is smooth and few steps suffice")
-            sun_only = not stage.lighting.points and len(stage.scene.air.constituents) == 1
+            sun_only = not stage.lighting.points and len(stage.scene.air.particles) == 1 and not stage.scene.air.banks
             steps = 1 if sun_only else self.smooth_steps
             if sun_only:
                 skipped.append("the march: one medium under the sun has a closed form")
