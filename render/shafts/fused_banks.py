@@ -44,8 +44,6 @@ def measure_banks(
 ) -> None:
     """Grey optical depths of a step, in the last places of the first part of `greys`; as `FogBank.compute_depth`."""
     boxes, middle = banks[2], 0.5 * (begin + end)
-    if len(boxes) == 0:
-        return
     x, y, z = rays[n, 0] + middle * rays[n, 3], rays[n, 1] + middle * rays[n, 4], rays[n, 2] + middle * rays[n, 5]
     first = len(layers) - len(boxes)
     for b in range(len(boxes)):
@@ -73,7 +71,7 @@ def _clip(low: float, high: float, place: float, rate: float, near: float, far: 
 
 
 @loop
-def bank_length(banks: Banks, row: int, b: int, x: float, y: float, z: float) -> float:
+def _bank_length(banks: Banks, row: int, b: int, x: float, y: float, z: float) -> float:
     """Optical length through one bank from a point to light `row` - 1; as `LightLengths.look_up`."""
     boxes, lights = banks[2], banks[3]
     if banks[1][row, b, 0] < 0:
@@ -99,18 +97,18 @@ def bank_length(banks: Banks, row: int, b: int, x: float, y: float, z: float) ->
 
 
 @loop
-def sun_through_banks(banks: Banks, layers: Doubles, rays: Floats, n: int, t: float, found: Doubles) -> None:
-    """What all banks leave of the sun at a place on a ray, by channel."""
-    found[:] = 1.0
-    count = len(banks[2])
-    if count == 0:
-        return
+def light_through_banks(
+    banks: Banks, layers: Doubles, row: int, rays: Floats, n: int, t: float, channels: int, found: Doubles, first: int
+) -> None:
+    """What all banks leave of light `row` - 1 at a place on a ray, by channel, written to `found` from a place on."""
     x, y, z = rays[n, 0] + t * rays[n, 3], rays[n, 1] + t * rays[n, 4], rays[n, 2] + t * rays[n, 5]
-    first = len(layers) - count
-    for b in range(count):
-        length = bank_length(banks, 1, b, x, y, z)
-        for c in range(len(found)):
-            found[c] *= np.exp(-layers[first + b, 1] * layers[first + b, 6 + c] * length)
+    for c in range(channels):
+        found[first + c] = 1.0
+    for b in range(len(banks[2])):
+        layer = len(layers) - len(banks[2]) + b
+        length = layers[layer, 1] * _bank_length(banks, row, b, x, y, z)
+        for c in range(channels):
+            found[first + c] *= np.exp(-layers[layer, 6 + c] * length)
 
 
 def bank_arrays(banks: Sequence[FogBank], lighting: Lighting) -> Banks:

@@ -13,7 +13,7 @@ from render.media import ExponentialDecay, LinearDecay, Uniform
 from render.shafts.air import Air, Constituent
 from render.shafts.cube_shadow_map import CubeShadowMap
 from render.shafts.fog_bank import FogBank
-from render.shafts.fused_banks import Banks, bank_arrays, bank_length, measure_banks, sun_through_banks
+from render.shafts.fused_banks import Banks, bank_arrays, light_through_banks, measure_banks
 from render.shafts.fused_shadows import OPTIONS, Doubles, Floats, Line, lamp_line, lamp_share, sun_line, sun_share
 from render.shafts.lights import Lighting
 from render.shafts.march import ShadowLooks
@@ -119,7 +119,7 @@ def _share_of_lamp(
 @loop
 def _lamp_step(
     lamps: Doubles, closest: Doubles, k: int, layers: Doubles, rays: Floats, n: int, begin: float, end: float,
-    greys: Doubles, arriving: Doubles, light: Doubles, share: float, banks: Banks,
+    greys: Doubles, arriving: Doubles, light: Doubles, share: float,
 ) -> None:  # fmt: skip
     """Add what one step scatters of one point light.
 
@@ -140,20 +140,16 @@ def _lamp_step(
     if lamps[k, 7] < np.inf:
         square = (distance / lamps[k, 7]) * (distance / lamps[k, 7])
         spread *= (1.0 - square * square) * (1.0 - square * square)
-    channels, first = len(arriving), len(layers) - len(banks[2])
+    channels, through = len(arriving), 3 * len(layers)
     for c in range(channels):
         weight = depth = 0.0
         for m in range(len(layers)):
             if c == 0:
                 greys[len(layers) + m] = layers[m, 9] * _phase(layers[m, 10], cosine) * greys[m]
-                if layers[m, 0] == BANK:
-                    length = bank_length(banks, k + 2, m - first, lamps[k, 0] + dx, lamps[k, 1] + dy, lamps[k, 2] + dz)
-                    greys[2 * len(layers) + m] = layers[m, 1] * length
-                else:
-                    greys[2 * len(layers) + m] = _grey_depth(layers, m, lamps[k, 2] + dz, lamps[k, 2], distance)
+                greys[2 * len(layers) + m] = _grey_depth(layers, m, lamps[k, 2] + dz, lamps[k, 2], distance)
             weight += greys[len(layers) + m] * layers[m, 6 + c]
             depth += greys[2 * len(layers) + m] * layers[m, 6 + c]
-        amount = spread * weight * arriving[c] * np.exp(-depth)
+        amount = spread * weight * arriving[c] * np.exp(-depth) * greys[through + c]
         light[c] += lamps[k, 3 + c] * amount
         if channels == 1:
             light[1] += lamps[k, 4] * amount
@@ -217,15 +213,30 @@ def _sun_step(
     if not known:
         _look_up_depth(table, lowest, spacing, float(rays[n, 2]) + float(rays[n, 5]) * begin, sun_low)
     _look_up_depth(table, lowest, spacing, float(rays[n, 2]) + float(rays[n, 5]) * end, sun_high)
-    sun_through_banks(banks, layers, rays, n, 0.5 * (begin + end), arriving)
-    channels = len(step)
+    channels, foggy = len(step), len(banks[2]) > 0
+    if foggy:
+        light_through_banks(banks, layers, 1, rays, n, 0.5 * (begin + end), channels, arriving, 0)
     for c in range(channels):
-        mean = lit * arriving[c] * _mean_exponential(before[c] + sun_low[c], before[c] + step[c] + sun_high[c])
+        mean = lit * _mean_exponential(before[c] + sun_low[c], before[c] + step[c] + sun_high[c])
+        if foggy:
+            mean *= arriving[c]
         light[c] += irradiance[c] * source[c] * mean
         if channels == 1:
             light[1] += irradiance[1] * source[0] * mean
             light[2] += irradiance[2] * source[0] * mean
         sun_low[c] = sun_high[c]
+
+
+@njit(inline="always", **OPTIONS)
+def _pass_step(before: Doubles, step: Doubles, arriving: Doubles, lamps: bool) -> float:
+    """Pass a step: what of its light reaches the eye if lamps ask, and the depth behind it, the least of whose channels comes back."""
+    least = np.inf
+    for c in range(len(step)):
+        if lamps:
+            arriving[c] = _mean_exponential(before[c], before[c] + step[c])
+        before[c] += step[c]
+        least = min(least, before[c])
+    return least
 
 
 @loop
@@ -239,16 +250,17 @@ def _march_ray(
     before, step, source, arriving, greys, closest = work[0], work[1], work[2], work[5], work[6], work[7]
     for c in range(3):
         light[c] = 0.0
-    for c in range(len(step)):
-        before[c] = 0.0
-    low, known, has_sun = float(rays[n, 2]), False, len(irradiance) > 0
+    before[:] = 0.0
+    greys[:] = 1.0  # the last three are what banks leave of a lamp
+    low, known, has_sun, foggy = float(rays[n, 2]), False, len(irradiance) > 0, len(banks[2]) > 0
     for k in range(len(lamps)):
         _nearest(lamps, k, rays, n, closest)
     line = sun_line(frame, rays, n)
     for i in range(edges.shape[1] - 1):
         begin, end = float(edges[n, i]), float(edges[n, i + 1])
         high = float(rays[n, 2]) + float(rays[n, 5]) * end
-        measure_banks(banks, layers, rays, n, begin, end, greys)
+        if foggy:
+            measure_banks(banks, layers, rays, n, begin, end, greys)
         _measure_step(layers, phase, n, low, high, end - begin, step, source, greys)
         lit = 0.0
         if has_sun and end > begin:
@@ -256,16 +268,14 @@ def _march_ray(
         if lit > 0.0:
             _sun_step(sun, banks, layers, rays, n, begin, end, known, lit, work, light)
         known = lit > 0.0
-        least = np.inf
-        for c in range(len(step)):
-            if len(lamps) > 0:
-                arriving[c] = _mean_exponential(before[c], before[c] + step[c])
-            before[c] += step[c]
-            least = min(least, before[c])
+        least = _pass_step(before, step, arriving, len(lamps) > 0)
         for k in range(len(lamps) if end > begin else 0):
             share = _share_of_lamp(cubes, closest, k, lamp_line(lamps, k, rays, n), begin, end, count, halvings)
+            if share > 0.0 and foggy:
+                middle = _brightest_place(closest, k, begin, end)
+                light_through_banks(banks, layers, k + 2, rays, n, middle, len(step), greys, 3 * len(layers))
             if share > 0.0:
-                _lamp_step(lamps, closest, k, layers, rays, n, begin, end, greys, arriving, light, share, banks)
+                _lamp_step(lamps, closest, k, layers, rays, n, begin, end, greys, arriving, light, share)
         low = high
         if least > deepest:
             break
@@ -308,7 +318,7 @@ def march_fused(
 
     def work(first: int, last: int) -> None:
         numbers = tuple(np.zeros(channels) for _ in range(6))
-        space = (*numbers, np.zeros(3 * len(layers)), np.zeros((len(maps[2]), 2)))
+        space = (*numbers, np.zeros(3 * len(layers) + 3), np.zeros((len(maps[2]), 2)))
         _march(
             lines, borders, layers, sun, maps, banks, deepest, looks.count, looks.halvings, space, np.zeros(3), out,
             first, last,
@@ -328,7 +338,8 @@ def _layer_array(air: Air) -> Doubles:
             extinction = getattr(medium, "extinction", 0.0)
             row[:6] = KINDS[type(medium)], extinction, medium.base, medium.top, reference, scale
         elif isinstance(part, FogBank):
-            row[:2] = BANK, part.extinction
+            # Its layer is empty: no height lies above the base and below the top.
+            row[:4] = BANK, part.extinction, np.inf, -np.inf
         row[6:9], row[9] = part.colour, part.albedo
         row[10] = np.nan if part.phase == "rayleigh" else part.asymmetry
     return rows
