@@ -44,6 +44,7 @@ class MethodName(enum.StrEnum):
     CHEN2011 = "chen2011"
     ALI2017 = "ali2017"
     ADAPTIVE = "adaptive"
+    TAN2020_FROXELS = "tan2020_froxels"
 
 
 Scene = Annotated[str, typer.Argument(help="A preset or a scene file (.toml).")]
