@@ -178,7 +178,10 @@ def list_scenes(
     if times is not None:
         angles = [find_sun(hour, radians_from_degrees(latitude), day) for hour in parse_hours(times)]
         intensity = max(scene.sun.irradiance) / max(make_sun(0.0, radians_from_degrees(30.0)).irradiance)
-        return [replace(scene, sun=make_sun(*pair, intensity)) for pair in angles]
+        suns = [make_sun(*pair, intensity) for pair in angles]
+        return [
+            replace(scene, sun=replace(scene.sun, direction=sun.direction, irradiance=sun.irradiance)) for sun in suns
+        ]
     if sun[0] is None or sun[1] is None:
         raise ParameterError("--sun-azimuth and --sun-elevation go together")
     direction = direction_from_angles(radians_from_degrees(sun[0]), radians_from_degrees(sun[1]))

@@ -12,7 +12,7 @@ a single medium without shadows under the sun comes out exactly, with any number
 no accuracy: the steps have to resolve shadows and banks of fog, not the layers of the air.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -92,6 +92,11 @@ def gather_light(
     air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spent: float = 0.0, looks: ShadowLooks = ONE_LOOK
 ) -> Tensor:
     """The light of `march` alone `(ray, channel)`."""
+    if lighting.more_suns:
+        light = gather_light(air, replace(lighting, more_suns=()), rays, edges, spent, looks)
+        for sun in lighting.more_suns:
+            light += gather_light(air, Lighting(sun), rays, edges, spent, looks)
+        return light
     if fused_loops_wanted(edges, rays.origin) and edges.dtype == torch.float32 and _mapped(lighting):
         from render.shafts.fused_march import march_fused
 

@@ -3,6 +3,7 @@
 import math
 import tomllib
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -23,13 +24,13 @@ from render.shafts.casters import (
     make_window,
 )
 from render.shafts.fog_bank import FogBank
-from render.shafts.lights import PointLight, Sun
+from render.shafts.lights import SUN_RADIUS, PointLight, Sun
 from render.shafts.mesh import GREY, Mesh, place_mesh, read_obj
 from render.shafts.participating_media import SpheroidMedium
 from render.shafts.particles import Colour
 from render.shafts.scene import ShaftScene
 from render.shafts.strict_table import StrictTable
-from render.units import radians_from_degrees
+from render.units import degrees_from_radians, radians_from_degrees
 
 PRESET_FOLDER = Path(__file__).parent / "presets"
 
@@ -136,6 +137,8 @@ def _read_sun(table: StrictTable) -> Sun:
         table.number("intensity", 1.0),
         table.triple("colour") if table.has("colour") else None,
     )
+    radius = radians_from_degrees(table.number("radius_deg", degrees_from_radians(SUN_RADIUS)))
+    sun = replace(sun, angular_radius=radius, shadow_points=table.whole("shadow_points", 1))
     table.finish()
     return sun
 
@@ -146,6 +149,7 @@ def _read_light(table: StrictTable) -> PointLight:
         intensity=table.triple("intensity"),
         radius=table.number("radius_m", 0.05),
         reach=table.number("reach_m", math.inf),
+        shadow_points=table.whole("shadow_points", 1),
     )
     table.finish()
     return light

@@ -28,6 +28,7 @@ from render.shafts.rays import ViewRays
 from render.shafts.scene import ShaftScene
 from render.shafts.self_shadowing import DistantLight, NearLight
 from render.shafts.shadow_map import build_shadow_map
+from render.shafts.soft_lights import split_lamp, split_sun
 
 LIFT = 1e-4
 """Share of a ray's length by which a shadow ray begins before the surface; float32 does not place the surface better."""
@@ -135,13 +136,15 @@ def _light_scene(scene: ShaftScene, caster: RayCaster, rays: ViewRays, maps: Map
     ends = rays.origin[:, 2] + rays.direction[:, 2] * rays.distance
     lowest = float(torch.minimum(ends, rays.origin[:, 2]).min())
     highest = float(torch.maximum(ends, rays.origin[:, 2]).max())
-    sun = None
+    suns = []
     if scene.sun is not None and any(scene.sun.irradiance):
-        table = build_sun_depth(scene.air, scene.sun, lowest, highest)
-        shades = build_shades(scene.air.banks, DistantLight(scene.sun.direction))
-        sun = SunInScene(scene.sun, table, _sun_visibility(scene.sun, caster, rays, maps), shades)
-    shining = [light for light in scene.lights if any(light.intensity)]
-    return Lighting(sun, tuple(_place_lamp(scene, light, caster, maps) for light in shining))
+        for sun in split_sun(scene.sun):
+            table = build_sun_depth(scene.air, sun, lowest, highest)
+            shades = build_shades(scene.air.banks, DistantLight(sun.direction))
+            suns.append(SunInScene(sun, table, _sun_visibility(sun, caster, rays, maps), shades))
+    shining = [point for light in scene.lights if any(light.intensity) for point in split_lamp(light)]
+    points = tuple(_place_lamp(scene, light, caster, maps) for light in shining)
+    return Lighting(suns[0] if suns else None, points, tuple(suns[1:]))
 
 
 def _place_lamp(scene: ShaftScene, light: PointLight, caster: RayCaster, maps: MapSettings) -> PointInScene:
@@ -175,8 +178,8 @@ def _shade(scene: ShaftScene, caster: RayCaster, rays: ViewRays, hits: Hits, lig
     part, normal = rays[seen], hits.normal[seen]
     points = part.origin + ((1.0 - LIFT) * part.distance)[:, None] * part.direction
     incoming = math.pi * normal.new_tensor(scene.ambient) * (0.5 + 0.5 * normal[:, 2:])
-    if lighting.sun is not None:
-        incoming = incoming + _sun_on_surfaces(scene, caster, lighting.sun, points, normal)
+    for sun in lighting.suns:
+        incoming = incoming + _sun_on_surfaces(scene, caster, sun, points, normal)
     for point in lighting.points:
         incoming = incoming + _lamp_on_surfaces(scene, caster, point, points, normal)
     radiance[seen] = hits.albedo[seen] / math.pi * incoming

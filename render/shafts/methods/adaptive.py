@@ -94,7 +94,7 @@ class Adaptive:
         light, blocks = torch.zeros_like(stage.background), stage.lighting
         if self.lines is not None and blocks.sun is not None:
             lines = _limit_lines(self.lines, stage.scene.camera.height)
-            light = gather_along_lines(stage, Lighting(blocks.sun), lines, marcher, clock)
+            light = gather_along_lines(stage, replace(blocks, points=()), lines, marcher, clock)
             blocks = Lighting(points=blocks.points)
             said.append(f"the sun: {describe(lines)}")
         if blocks.sun is not None or blocks.points:
