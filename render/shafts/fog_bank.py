@@ -93,8 +93,8 @@ class FogBank:
         return self.tint(density * lengths)
 
     def compute_ray_depth(self, rays: ViewRays) -> Tensor:
-        """Optical depth `(ray, channel)` [1] of whole rays, by trapezoids of half a voxel."""
-        return self.tint(compute_length_along(self.grid, rays.origin, rays.direction, rays.distance))
+        """Optical depth `(ray, channel)` [1] of whole rays, by trapezoids of at most a voxel."""
+        return self.tint(compute_length_along(self.grid, rays.origin, rays.direction, rays.distance, step=1.0))
 
     def tint(self, length: Tensor) -> Tensor:
         """Optical depth `(..., channel)` [1] of optical lengths `(...)` [m]."""

@@ -32,8 +32,8 @@ def test_every_preset_is_a_scene(name: str) -> None:
     assert scene.sun is not None or scene.lights
 
 
-def test_the_presets_are_four() -> None:
-    assert PRESETS == ("columns", "lights", "ridge", "window")
+def test_the_presets_are_six() -> None:
+    assert PRESETS == ("columns", "fogbank", "lamps_in_fog", "lights", "ridge", "window")
 
 
 def test_a_scene_is_what_the_file_says(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_bad_input_names_the_file_and_the_reason(text: str, words: str) -> None:
 
 
 def test_a_scene_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="there are the presets columns, lights, ridge, window"):
+    with pytest.raises(SceneError, match="there are the presets columns, fogbank, lamps_in_fog, lights, ridge, window"):
         load_scene("sahara")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(SceneError, match="not a text file"):
