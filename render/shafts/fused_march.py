@@ -1,7 +1,6 @@
 """Fused twin of `march`; imported only where numba is installed."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -306,7 +305,7 @@ def march_fused(
     air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spent: float, looks: ShadowLooks
 ) -> Tensor:
     """In-scattered light `(ray, channel)`; see `render.shafts.march.march`."""
-    announce_compilation("fused_march", str(Path(__file__).parent / "__pycache__"))
+    announce_compilation("fused_march", _march.stats.cache_path)
     found = torch.zeros(len(rays), 3)
     lines = torch.cat([rays.origin, rays.direction], dim=1).float().contiguous().numpy()
     sun = _sun_arrays(air, lighting, rays)

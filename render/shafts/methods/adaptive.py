@@ -31,6 +31,9 @@ from render.shafts.step_schedule import StepSchedule
 SMALLEST_LINES, SMALLEST_SAMPLES = 200, 40
 """Epipolar lines along the height of an image, and marched samples along a line of that length, below which no image goes."""
 
+BANK_STRIDE = 3
+"""So many samples of a line one is marched where there are banks of fog: they vary along the lines as well as across."""
+
 
 @dataclass(frozen=True)
 class Adaptive:
@@ -94,6 +97,8 @@ class Adaptive:
         light, blocks = torch.zeros_like(stage.background), stage.lighting
         if self.lines is not None and blocks.sun is not None:
             lines = _limit_lines(self.lines, stage.scene.camera.height)
+            if air.banks:
+                lines = replace(lines, stride=min(lines.stride, BANK_STRIDE))
             light = gather_along_lines(stage, replace(blocks, points=()), lines, marcher, clock)
             blocks = Lighting(points=blocks.points)
             said.append(f"the sun: {describe(lines)}")
