@@ -10,6 +10,7 @@ from render.fused import torch_loops_only
 from render.random_streams import child_generator
 from render.shafts.air import Air
 from render.shafts.fog_bank import FogBank, build_shades, insert_bank_edges, look_up_shade
+from render.shafts.frame import compose_frame
 from render.shafts.lights import AlwaysLit, Lighting, Sun, SunInScene, build_sun_depth
 from render.shafts.march import march
 from render.shafts.methods import METHODS, Adaptive, BruteForce
@@ -175,3 +176,22 @@ def test_banks_that_cannot_be_are_refused() -> None:
         FogBank(replace(SPHEROID, count=0), 0.1)
     assert FogBank(BLOCK, 0.0).empty
     assert not FOG.empty
+
+
+@pytest.mark.parametrize(("extinction", "strength"), [(0.0, 1.0), (1e-12, 1.0), (0.2, 0.0), (0.2, 1.0), (1e5, 1.0)])
+def test_from_within_a_bank_of_any_density_all_is_finite(extinction: float, strength: float) -> None:
+    scene = small_scene()
+    lamp = replace(scene.lights[0], position=(-1.0, -40.0, 6.0))
+    around = replace(FOG.medium, middle=(0.0, -48.0, 6.0), wind=(0.0, 0.0, 0.0))
+    bank = replace(FOG, medium=around, extinction=extinction, strength=strength)
+    inside = replace(scene, lights=(lamp,), air=replace(scene.air, banks=(bank,)))
+    frame = compose_frame(small_stage(inside), METHODS["auto"])
+    clear = compose_frame(small_stage(replace(inside, air=scene.air)), METHODS["auto"])
+    assert bool(torch.isfinite(frame.radiance).all())
+    if bank.extinction * strength < 1e-9:
+        torch.testing.assert_close(frame.radiance, clear.radiance, rtol=2e-2, atol=1e-3)
+        torch.testing.assert_close(frame.transmittance, clear.transmittance, rtol=1e-5, atol=1e-7)
+    else:
+        assert float((frame.radiance - clear.radiance).abs().max()) > 0.02
+    if extinction > 1e3:
+        assert float(frame.transmittance.max()) < 1e-6
