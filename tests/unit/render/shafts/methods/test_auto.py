@@ -31,18 +31,18 @@ def test_a_bank_of_fog_is_no_closed_form() -> None:
     foggy = small_stage(replace(clear, air=replace(clear.air, constituents=(), banks=(BANK,))))
     gathered = Auto().gather(foggy)
     assert not any("closed form" in sentence for sentence in gathered.skipped)
-    truth = BruteForce(1024).gather(foggy).in_scattering
+    truth = BruteForce(512).gather(foggy).in_scattering
     assert measure_error(gathered.in_scattering, truth).relative_rms < 0.03
     assert measure_error(BruteForce(1).gather(foggy).in_scattering, truth).relative_rms > 0.2
 
 
 def test_many_lamps_are_marched_because_froxels_err_more() -> None:
-    scene = small_scene(96, 64)
+    scene = small_scene(64, 40)
     lamps = tuple(replace(scene.lights[0], position=(x, y, 4.0)) for x in (-12.0, -4.0, 6.0) for y in (-12.0, 2.0))
     stage = small_stage(replace(scene, sun=None, lights=lamps))
-    truth = BruteForce(2048).gather(stage).in_scattering
+    truth = BruteForce(1024).gather(stage).in_scattering
     marched, cells = (measure_error(method.gather(stage).in_scattering, truth) for method in (Auto(), Froxels()))
-    assert marched.relative_rms < 0.02
+    assert marched.relative_rms < 0.03
     assert cells.relative_rms > 3.0 * marched.relative_rms
 
 
