@@ -134,7 +134,9 @@ def test_every_method_carries_banks() -> None:
     for name, method in METHODS.items():
         dense = method.at_full_density(256).gather(stage).in_scattering
         exact = BruteForce(256).gather(stage).in_scattering
-        assert relative_rms(dense, exact) < {"chen2011": 5e-3, "tan2020_froxels": 1e-2}.get(name, 1e-4), name
+        assert relative_rms(dense, exact) < {"chen2011": 5e-3, "biri2006": 5e-3, "tan2020_froxels": 1e-2}.get(
+            name, 1e-4
+        ), name
         assert relative_rms(method.gather(without).in_scattering, exact) > 0.05, name
 
 
