@@ -11,6 +11,7 @@ from render.shafts.methods.base import Gathered, Method
 from render.shafts.methods.brute_force import BruteForce
 from render.shafts.methods.chen2011 import Chen2011
 from render.shafts.methods.engelhardt2010 import Engelhardt2010
+from render.shafts.methods.froxels import Froxels
 
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
@@ -20,6 +21,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "chen2011": Chen2011(),
         "ali2017": Ali2017(),
         "adaptive": Adaptive(),
+        "tan2020_froxels": Froxels(),
     }
 )
 """Every method with its usual settings."""
@@ -44,6 +46,7 @@ __all__ = [
     "BruteForce",
     "Chen2011",
     "Engelhardt2010",
+    "Froxels",
     "Gathered",
     "Method",
     "find_method",
