@@ -56,15 +56,22 @@ def further_rays(count: int = 40) -> Vectors:
     return torch.stack([zero, zero, earth().bottom_radius + altitude], -1), view, sun
 
 
+def tell(name: str, error: np.ndarray) -> None:
+    """What `pytest -s` shows: median and 95th percentile of relative errors."""
+    print(f"{name}: median {np.median(np.abs(error)):.3%}, 95th percentile {np.quantile(np.abs(error), 0.95):.3%}")
+
+
 def test_orders_of_an_independent_monte_carlo() -> None:
     rows = golden("monte_carlo")
     camera, view, sun = (torch.from_numpy(rows[name]) for name in ("camera_m", "view", "sun"))
     light, truth = light_by_order(camera, view, sun).numpy(), rows["mc_mean_by_order"]
     for order in (1, 2, 3):
         error = np.abs(light[..., order] / truth[..., order] - 1.0)
+        tell(f"order {order + 1}, independent Monte Carlo", error)
         assert np.median(error) < 0.01
         assert np.quantile(error, 0.95) < 0.03
     whole = np.abs(light.sum(-1) / truth.sum(-1) - 1.0)
+    tell("sum, independent Monte Carlo", whole)
     assert np.median(whole) < 0.002
     theirs = np.abs(rows["reference_by_order"][..., 1] / truth[..., 1] - 1.0)
     assert np.median(theirs) > 0.02
@@ -73,12 +80,15 @@ def test_orders_of_an_independent_monte_carlo() -> None:
 def test_orders_of_our_monte_carlo_at_further_rays() -> None:
     vectors = further_rays()
     light = light_by_order(*vectors)
-    found = trace_atmosphere(earth(), *vectors, orders=4, paths=8000, seed=77)
-    for order, accepted in ((1, 0.01), (2, 0.015), (3, 0.02)):
+    found = trace_atmosphere(earth(), *vectors, orders=4, paths=64_000, seed=77)
+    for order in (1, 2, 3):
         truth = found.orders[..., order]
-        square = (light[..., order] / truth - 1.0).square().mean()
+        error = (light[..., order] / truth - 1.0).numpy()
+        tell(f"order {order + 1}, our Monte Carlo", error)
+        assert np.median(np.abs(error)) < 0.02
+        assert np.quantile(np.abs(error), 0.95) < 0.05
         noise = (found.orders_error[..., order] / truth).square().mean()
-        assert float((square - noise).clamp(min=0.0).sqrt()) < 2.0 * accepted
-        assert abs(float((light[..., order] / truth - 1.0).median())) < accepted
+        assert math.sqrt(max(float((error**2).mean() - noise), 0.0)) < 0.02
     whole = (light.sum(-1) / found.radiance - 1.0).abs()
+    tell("sum, our Monte Carlo", whole.numpy())
     assert float(whole.median()) < 0.015
