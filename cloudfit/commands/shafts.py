@@ -43,6 +43,7 @@ class MethodName(enum.StrEnum):
     ENGELHARDT2010 = "engelhardt2010"
     CHEN2011 = "chen2011"
     ALI2017 = "ali2017"
+    INTERLEAVED = "interleaved"
     ADAPTIVE = "adaptive"
 
 

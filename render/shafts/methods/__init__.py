@@ -19,6 +19,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "engelhardt2010": Engelhardt2010(),
         "chen2011": Chen2011(),
         "ali2017": Ali2017(),
+        "interleaved": Ali2017(pattern=4),
         "adaptive": Adaptive(),
     }
 )
