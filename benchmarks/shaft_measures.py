@@ -1,0 +1,123 @@
+"""How the benchmark of shafts measures: a truth of all pixels or of tiles of them, errors against it, and seconds taken in turns."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import kornia
+import torch
+from torch import Tensor
+
+from benchmarks.common import spread
+from render.colour import linear_to_srgb
+from render.shafts.methods import METHODS, Method
+from render.shafts.scene_file import load_scene
+from render.shafts.stage import MapSettings, Stage, prepare_stage
+from render.shafts.truth import compute_truth, measure_error
+
+MOST_RAYS = 2_500_000
+"""Pixels times lights whose truth is marched whole; beyond, that of tiles."""
+
+TILE, TILES_ACROSS = (90, 160), 4
+"""Rows and columns of a tile [pixel], and tiles along each side of the image."""
+
+SLOW = 20.0
+"""Seconds of a run that is not repeated."""
+
+MAPS, QUICK_MAPS = MapSettings(2048, 256), MapSettings(128, 32)
+
+
+def warm_up() -> None:
+    """Let every method run once on a small picture, under the sun and by a lamp: compiled loops are loaded at their first call."""
+    window, lights = load_scene("window").resized(200, 112), load_scene("lights").resized(200, 112)
+    for scene in (window, replace(lights, lights=lights.lights[:1])):
+        stage = prepare_stage(scene, QUICK_MAPS)
+        for method in METHODS.values():
+            method.gather(stage)
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The true light of some pixels.
+
+    Args:
+        pixels: their numbers `(pixel,)`.
+        shape: they are so many pictures of so many rows and columns.
+        light: `(pixel, channel)`.
+        steps: along the rays that needed most.
+    """
+
+    pixels: Tensor
+    shape: tuple[int, int, int]
+    light: Tensor
+    steps: int
+
+
+def compute_reference(stage: Stage, change: float) -> Reference:
+    """The truth of all pixels, or of tiles spread evenly where it would take too long."""
+    height, width = stage.depth_buffer.shape
+    number = torch.arange(height * width).reshape(height, width)
+    lights = max(1, len(stage.lighting.separate()))
+    if height * width * lights <= MOST_RAYS:
+        pictures = number[None]
+    else:
+        rows, columns = (min(size, side) for size, side in zip(TILE, (height, width), strict=True))
+        tops = torch.linspace(0, height - rows, TILES_ACROSS).long().tolist()
+        lefts = torch.linspace(0, width - columns, TILES_ACROSS).long().tolist()
+        pictures = torch.stack([number[top : top + rows, left : left + columns] for top in tops for left in lefts])
+    pixels = pictures.flatten()
+    truth = compute_truth(replace(stage, rays=stage.rays[pixels]), change)
+    count, rows, columns = pictures.shape
+    return Reference(pixels, (count, rows, columns), truth.in_scattering, truth.steps)
+
+
+def judge(light: Tensor, reference: Reference) -> dict[str, float]:
+    """Errors of the light of all pixels `(pixel, channel)`.
+
+    The similarity (SSIM, windows of 11 pixels) is that of display values, the brightest true light being white.
+    """
+    found = light[reference.pixels]
+    error = measure_error(found, reference.light)
+    white = float(reference.light.max()) or 1.0
+    shown = [
+        linear_to_srgb((values / white).clamp(0.0, 1.0)).reshape(*reference.shape, 3).permute(0, 3, 1, 2)
+        for values in (found, reference.light)
+    ]
+    similarity = float(kornia.metrics.ssim(shown[0], shown[1], 11).mean())
+    return {"relative_rms": error.relative_rms, "largest": error.largest, "ssim": similarity}
+
+
+def clocked(method: Method, stage: Stage) -> tuple[float, Tensor]:
+    """Seconds and light of one run."""
+    begun = time.perf_counter()
+    light = method.gather(stage).in_scattering
+    return time.perf_counter() - begun, light
+
+
+def compare(
+    methods: Mapping[str, Method], stage: Stage, reference: Reference, repeats: int, base: str | None = None
+) -> dict[str, dict[str, Any]]:
+    """Seconds, taken in turns, and errors of methods; how much faster than the one called `base` each is, if one is."""
+    seconds: dict[str, list[float]] = {key: [] for key in methods}
+    errors: dict[str, dict[str, float]] = {}
+    for number in range(repeats):
+        for key, method in methods.items():
+            if number and seconds[key][0] > SLOW:
+                continue
+            spent, light = clocked(method, stage)
+            seconds[key].append(spent)
+            errors[key] = judge(light, reference)
+    found: dict[str, dict[str, Any]] = {key: {"seconds": spread(seconds[key]), **errors[key]} for key in methods}
+    if base is not None:
+        for one in found.values():
+            one["speed_up"] = found[base]["seconds"]["median"] / one["seconds"]["median"]
+    return found
+
+
+def error_cells(found: Mapping[str, Any]) -> tuple[str, str, str]:
+    """The three errors for a table."""
+    return f"{found['relative_rms']:.2%}", f"{found['largest']:.2%}", f"{found['ssim']:.4f}"
+
+
+ERROR_COLUMNS = ("relative RMS", "largest", "SSIM")
