@@ -1,5 +1,6 @@
 """How the benchmark of shafts measures: a truth of all pixels or of tiles of them, errors against it, and seconds taken in turns."""
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -16,11 +17,11 @@ from render.shafts.scene_file import load_scene
 from render.shafts.stage import MapSettings, Stage, prepare_stage
 from render.shafts.truth import compute_truth, measure_error
 
-MOST_RAYS = 2_500_000
-"""Pixels times lights whose truth is marched whole; beyond, that of tiles."""
+MOST_RAYS, MOST_LAMP_RAYS = 2_500_000, 400_000
+"""Pixels, or pixels times lamps, whose truth is marched whole; beyond, that of tiles. Lamps need more and dearer steps."""
 
-TILE, TILES_ACROSS = (90, 160), 4
-"""Rows and columns of a tile [pixel], and tiles along each side of the image."""
+TILE, TILES_ACROSS, LEAST_SIDE = (90, 160), 4, 11
+"""Rows and columns of a tile [pixel], tiles along each side of the image, and the side below which no tile goes."""
 
 SLOW = 20.0
 """Seconds of a run that is not repeated."""
@@ -58,11 +59,14 @@ def compute_reference(stage: Stage, change: float) -> Reference:
     """The truth of all pixels, or of tiles spread evenly where it would take too long."""
     height, width = stage.depth_buffer.shape
     number = torch.arange(height * width).reshape(height, width)
-    lights = max(1, len(stage.lighting.separate()))
-    if height * width * lights <= MOST_RAYS:
+    lamps = len(stage.lighting.points)
+    most = MOST_LAMP_RAYS // lamps if lamps else MOST_RAYS
+    if height * width <= most:
         pictures = number[None]
     else:
-        rows, columns = (min(size, side) for size, side in zip(TILE, (height, width), strict=True))
+        scale = min(1.0, math.sqrt(most / (TILES_ACROSS**2 * math.prod(TILE))))
+        sides = (max(LEAST_SIDE, int(scale * side)) for side in TILE)
+        rows, columns = (min(side, whole) for side, whole in zip(sides, (height, width), strict=True))
         tops = torch.linspace(0, height - rows, TILES_ACROSS).long().tolist()
         lefts = torch.linspace(0, width - columns, TILES_ACROSS).long().tolist()
         pictures = torch.stack([number[top : top + rows, left : left + columns] for top in tops for left in lefts])

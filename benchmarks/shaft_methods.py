@@ -20,7 +20,7 @@ from benchmarks.shaft_measures import (
     error_cells,
     judge,
 )
-from render.shafts.methods import METHODS, Ali2017, BruteForce, Chen2011, Method
+from render.shafts.methods import METHODS, Ali2017, Biri2006, BruteForce, Chen2011, Method
 from render.shafts.scene_file import load_scene
 from render.shafts.stage import Stage, prepare_stage
 
@@ -145,15 +145,20 @@ def measure_equal_time(arguments: argparse.Namespace) -> Outcome:
     return found, (make_table("steps of each ray in one time", columns, rows),)
 
 
+def name_of_steps(method: Method) -> str:
+    """The setting that counts along a ray: nodes or looks where shadows are found otherwise than by steps."""
+    return {Chen2011: "nodes", Biri2006: "looks"}.get(type(method), "steps")
+
+
 def with_steps(method: Any, steps: int) -> Method:
-    """The same method with other steps along a ray (nodes, where shadows are exact)."""
-    found: Method = replace(method, nodes=steps) if isinstance(method, Chen2011) else replace(method, steps=steps)
+    """The same method with other steps along a ray."""
+    found: Method = replace(method, **{name_of_steps(method): steps})
     return found
 
 
-def fill_time(method: Any, stage: Stage, reference: Reference, budget: float) -> dict[str, Any]:
+def fill_time(method: Method, stage: Stage, reference: Reference, budget: float) -> dict[str, Any]:
     """The most steps that come closest to a time [s], what they took, and their errors; one step where none is short enough."""
-    steps = method.nodes if isinstance(method, Chen2011) else method.steps
+    steps = getattr(method, name_of_steps(method))
     tried: dict[int, tuple[float, dict[str, float]]] = {}
     for _ in range(AIMS):
         seconds, light = clocked(with_steps(method, steps), stage)

@@ -3,7 +3,7 @@
 Three scenes that `cloudfit shafts` shows (a ridge, a window, lamps at night), each made ready once: depth buffer and shadow maps are the
 same for all methods, and only the part `stages` counts them. A method's seconds are those of its in-scattered light, its errors those
 against the truth: a march along every pixel's ray whose steps are doubled until they change the light by less than 0.1 %, with the
-same maps. Where that would take minutes, the truth is marched in 16 tiles of 160 x 90 pixels. Methods take turns.
+same maps. Where that would take minutes, the truth is marched in 16 tiles, of 160 x 90 pixels or less. Methods take turns.
 `--parts` chooses among:
 
 - `methods`: each with its usual settings and refined, a drawing of time and error with `--out`

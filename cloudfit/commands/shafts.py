@@ -44,6 +44,8 @@ class MethodName(enum.StrEnum):
     CHEN2011 = "chen2011"
     ALI2017 = "ali2017"
     INTERLEAVED = "interleaved"
+    BIRI2006 = "biri2006"
+    WYMAN2013 = "wyman2013"
     ADAPTIVE = "adaptive"
 
 

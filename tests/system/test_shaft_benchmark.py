@@ -67,10 +67,10 @@ def test_tiles_stand_for_a_large_picture(monkeypatch: pytest.MonkeyPatch) -> Non
     stage = small_stage(small_scene(48, 32))
     whole = compute_reference(stage, 1e-3)
     assert whole.shape == (1, 32, 48)
-    monkeypatch.setattr("benchmarks.shaft_measures.MOST_RAYS", 1)
-    monkeypatch.setattr("benchmarks.shaft_measures.TILE", (11, 12))
+    monkeypatch.setattr("benchmarks.shaft_measures.MOST_LAMP_RAYS", 1)
+    monkeypatch.setattr("benchmarks.shaft_measures.LEAST_SIDE", 12)
     tiles = compute_reference(stage, 1e-3)
-    assert tiles.shape == (16, 11, 12)
+    assert tiles.shape == (16, 12, 12)
     torch.testing.assert_close(tiles.light, whole.light[tiles.pixels], rtol=0.01, atol=1e-3)
     light = BruteForce(16).gather(stage).in_scattering
     assert judge(light, tiles)["relative_rms"] == pytest.approx(judge(light, whole)["relative_rms"], rel=0.3)
