@@ -46,15 +46,19 @@ def measure_triangles(arguments: argparse.Namespace) -> Outcome:
         found.append({"triangles": len(ball.triangles), **measure_frames(scene, arguments)})
     few = [one for one in found if one["triangles"] >= FEW_TRIANGLES] or found
     growth = total_seconds(few[-1]) / total_seconds(few[0])
+    built = [total_seconds(one) + one["build"]["median"] for one in few]
     rows = [
         (f"{one['triangles']:,}", *(show(one[part]) for part in ("build", "ready", "gather")), *error_cells(one))
         for one in found
     ]
     columns = ("triangles", "building once [s]", "maps and depth [s]", "light [s]", *ERROR_COLUMNS)
     title = (
-        f"triangles: from {few[0]['triangles']:,} to {few[-1]['triangles']:,} a frame takes {growth:.2f} times as long"
+        f"triangles: from {few[0]['triangles']:,} to {few[-1]['triangles']:,} a frame takes {growth:.2f} times as long, "
+        f"with building the tree {built[-1] / built[0]:.2f} times"
     )
-    return {"frames": found, "growth": growth}, (make_table(title, columns, rows),)
+    return {"frames": found, "growth": growth, "growth_with_building": built[-1] / built[0]}, (
+        make_table(title, columns, rows),
+    )
 
 
 def total_seconds(frame: dict[str, Any]) -> float:

@@ -71,7 +71,7 @@ def compute_reference(stage: Stage, change: float) -> Reference:
         lefts = torch.linspace(0, width - columns, TILES_ACROSS).long().tolist()
         pictures = torch.stack([number[top : top + rows, left : left + columns] for top in tops for left in lefts])
     pixels = pictures.flatten()
-    truth = compute_truth(replace(stage, rays=stage.rays[pixels]), change)
+    truth = compute_truth(stage.with_rays(pixels), change)
     count, rows, columns = pictures.shape
     return Reference(pixels, (count, rows, columns), truth.in_scattering, truth.steps)
 

@@ -7,11 +7,9 @@ import torch
 from torch import Tensor
 
 from render.errors import ParameterError
-from render.shafts.lights import Lighting
 from render.shafts.march import ShadowLooks
+from render.shafts.methods.adaptive import Adaptive
 from render.shafts.methods.base import Method
-from render.shafts.methods.marching import EdgeRule, march_rays
-from render.shafts.rays import ViewRays, edges_towards_lamp, uniform_edges
 from render.shafts.scene import ShaftScene
 from render.shafts.stage import MapSettings, Stage, prepare_stage
 
@@ -84,12 +82,12 @@ def compute_truth(stage: Stage, change: float = 1e-3) -> Truth:
         ParameterError: where 8192 steps are too few.
     """
     steps = FIRST_STEPS
-    light = _march_rays(stage, stage.rays, steps)
+    light = _march_everything(stage, steps)
     last = torch.zeros(len(light), dtype=torch.float64)
     active = torch.arange(len(light))
     while steps < MOST_STEPS:
         steps *= 2
-        after = _march_rays(stage, stage.rays[active], steps)
+        after = _march_everything(stage.with_rays(active), steps)
         last[active] = (after - light[active]).double().square().sum(1)
         light[active] = after
         power = float(light.double().square().sum(1).mean())
@@ -101,19 +99,10 @@ def compute_truth(stage: Stage, change: float = 1e-3) -> Truth:
     raise ParameterError(f"the light still changes by more than {change:g} at {MOST_STEPS} steps along every ray")
 
 
-def _march_rays(stage: Stage, rays: ViewRays, steps: int) -> Tensor:
-    """Light of steps along rays: equal ones for the sun, shorter ones near a lamp, whose glow equal ones miss."""
-    light = torch.zeros_like(rays.origin)
-    for alone in stage.lighting.separate():
-        light += march_rays(stage.scene.air, alone, rays, _edge_rule(alone, steps), steps, looks=LOOKS)
-    return light
-
-
-def _edge_rule(alone: Lighting, steps: int) -> EdgeRule:
-    if alone.sun is not None:
-        return lambda rays: uniform_edges(rays, steps)
-    lamp = alone.points[0].light
-    return lambda rays: edges_towards_lamp(rays, lamp.position, lamp.radius, steps)
+def _march_everything(stage: Stage, steps: int) -> Tensor:
+    """Light of steps along the ray of every pixel: equal ones for the sun, shorter ones near a lamp, whose glow equal ones miss."""
+    method = Adaptive(steps, LOOKS, factor=1, lines=None, contrast=math.inf, spent=0.0)
+    return method.gather(stage).in_scattering
 
 
 @dataclass(frozen=True)

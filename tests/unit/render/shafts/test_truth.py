@@ -1,14 +1,11 @@
-from typing import Any
-
 import pytest
 import torch
 
 import render.shafts.truth as truth_module
 from render.errors import ParameterError
 from render.shafts.air import Air
-from render.shafts.lights import Lighting
 from render.shafts.methods import Adaptive, BruteForce
-from render.shafts.rays import ViewRays
+from render.shafts.stage import Stage
 from render.shafts.truth import choose_settings, compute_truth, measure_error
 from tests.support.shaft_scenes import SMALL_MAPS, small_scene, small_stage
 
@@ -35,17 +32,16 @@ def test_the_truth_is_converged() -> None:
 
 def test_rays_that_have_settled_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     stage, marched = small_stage(), []
-    whole = truth_module.march_rays
+    whole = truth_module._march_everything
 
-    def counting(air: Air, lighting: Lighting, rays: ViewRays, *rest: Any, **named: Any) -> torch.Tensor:
-        marched.append(len(rays))
-        return whole(air, lighting, rays, *rest, **named)
+    def counting(some: Stage, steps: int) -> torch.Tensor:
+        marched.append((len(some.rays), steps))
+        return whole(some, steps)
 
-    monkeypatch.setattr(truth_module, "march_rays", counting)
+    monkeypatch.setattr(truth_module, "_march_everything", counting)
     found = compute_truth(stage, 1e-4)
-    lights = len(stage.lighting.separate())
-    assert marched[: 3 * lights] == [len(stage.rays)] * 3 * lights, "16, 32 and 64 steps for all"
-    assert marched[-1] < len(stage.rays)
+    assert marched[:3] == [(len(stage.rays), steps) for steps in (16, 32, 64)]
+    assert marched[-1][0] < len(stage.rays)
     monkeypatch.setattr(truth_module, "SETTLED", 0.0)
     full = compute_truth(stage, 1e-4)
     assert measure_error(found.in_scattering, full.in_scattering).relative_rms < 1e-4
