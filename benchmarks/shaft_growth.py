@@ -79,7 +79,7 @@ def measure_frames(scene: ShaftScene, arguments: argparse.Namespace) -> dict[str
         ready.append(sum(stage.seconds.values()) - stage.seconds["geometry"])
         seconds, light = clocked(METHODS["adaptive"], stage)
         gather.append(seconds)
-    errors = judge(light, compute_reference(stage, arguments.truth_change))
+    errors = judge(light, compute_reference(stage, arguments.truth_change, arguments.whole_truth))
     return {"build": spread(build), "ready": spread(ready), "gather": spread(gather), **errors}
 
 
@@ -123,7 +123,7 @@ def measure_tolerance(arguments: argparse.Namespace) -> Outcome:
         choosing = time.perf_counter() - begun
         stage = prepare_stage(scene, maps)
         seconds, light = clocked(chosen.method, stage)
-        errors = judge(light, compute_reference(stage, arguments.truth_change))
+        errors = judge(light, compute_reference(stage, arguments.truth_change, arguments.whole_truth))
         found.append(
             {
                 "scene": name,

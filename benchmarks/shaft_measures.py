@@ -1,8 +1,9 @@
 """How the benchmark of shafts measures: a truth of all pixels or of tiles of them, errors against it, and seconds taken in turns."""
 
+import itertools
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,15 +13,16 @@ from torch import Tensor
 
 from benchmarks.common import spread
 from render.colour import linear_to_srgb
+from render.random_streams import child_generator
 from render.shafts.methods import METHODS, Method
 from render.shafts.scene_file import load_scene
 from render.shafts.stage import MapSettings, Stage, prepare_stage
 from render.shafts.truth import compute_truth, measure_error
 
-MOST_RAYS, MOST_LAMP_RAYS = 2_500_000, 400_000
+MOST_RAYS, MOST_LAMP_RAYS = 2_500_000, 1_200_000
 """Pixels, or pixels times lamps, whose truth is marched whole; beyond, that of tiles. Lamps need more and dearer steps."""
 
-TILE, TILES_ACROSS, LEAST_SIDE = (90, 160), 4, 11
+TILE, TILES_ACROSS, LEAST_SIDE = (90, 160), 8, 11
 """Rows and columns of a tile [pixel], tiles along each side of the image, and the side below which no tile goes."""
 
 SLOW = 20.0
@@ -55,25 +57,38 @@ class Reference:
     steps: int
 
 
-def compute_reference(stage: Stage, change: float) -> Reference:
-    """The truth of all pixels, or of tiles spread evenly where it would take too long."""
+def compute_reference(stage: Stage, change: float, whole: bool = False) -> Reference:
+    """The truth of all pixels, or of tiles at random where it would take too long and is not asked for."""
     height, width = stage.depth_buffer.shape
     number = torch.arange(height * width).reshape(height, width)
     lamps = len(stage.lighting.points)
     most = MOST_LAMP_RAYS // lamps if lamps else MOST_RAYS
-    if height * width <= most:
+    if whole or height * width <= most:
         pictures = number[None]
     else:
-        scale = min(1.0, math.sqrt(most / (TILES_ACROSS**2 * math.prod(TILE))))
-        sides = (max(LEAST_SIDE, int(scale * side)) for side in TILE)
-        rows, columns = (min(side, whole) for side, whole in zip(sides, (height, width), strict=True))
-        tops = torch.linspace(0, height - rows, TILES_ACROSS).long().tolist()
-        lefts = torch.linspace(0, width - columns, TILES_ACROSS).long().tolist()
-        pictures = torch.stack([number[top : top + rows, left : left + columns] for top in tops for left in lefts])
+        pictures = torch.stack([number[rows, columns] for rows, columns in _lay_tiles(height, width, most)])
     pixels = pictures.flatten()
     truth = compute_truth(stage.with_rays(pixels), change)
     count, rows, columns = pictures.shape
     return Reference(pixels, (count, rows, columns), truth.in_scattering, truth.steps)
+
+
+def _lay_tiles(height: int, width: int, most: int) -> Iterator[tuple[slice, slice]]:
+    """Rows and columns of tiles of so many pixels in all, one at random within each cell of a grid: every part may be hit."""
+    scale = min(1.0, math.sqrt(most / (TILES_ACROSS**2 * math.prod(TILE))))
+    sizes = [
+        (whole / TILES_ACROSS, min(max(LEAST_SIDE, int(scale * side)), whole // TILES_ACROSS))
+        for side, whole in zip(TILE, (height, width), strict=True)
+    ]
+    generator = child_generator(0)
+    for cell in itertools.product(range(TILES_ACROSS), repeat=2):
+        luck = torch.rand(2, generator=generator).tolist()
+        starts = [
+            int(number * room + share * (room - side))
+            for number, share, (room, side) in zip(cell, luck, sizes, strict=True)
+        ]
+        rows, columns = (slice(start, start + side) for start, (_, side) in zip(starts, sizes, strict=True))
+        yield rows, columns
 
 
 def judge(light: Tensor, reference: Reference) -> dict[str, float]:

@@ -48,7 +48,7 @@ def prepare(name: str, arguments: argparse.Namespace, width: int | None = None, 
 def prepare_judged(name: str, arguments: argparse.Namespace) -> tuple[Stage, Reference]:
     """The same with its truth."""
     stage = prepare(name, arguments)
-    reference = compute_reference(stage, arguments.truth_change)
+    reference = compute_reference(stage, arguments.truth_change, arguments.whole_truth)
     tell_progress(f"{name}: truth of {len(reference.pixels):,} pixels, {reference.steps} steps")
     return stage, reference
 
@@ -115,7 +115,7 @@ def measure_resolutions(arguments: argparse.Namespace) -> Outcome:
         found[name] = []
         for width, height in sizes:
             stage = prepare(name, arguments, width, height)
-            reference = compute_reference(stage, arguments.truth_change)
+            reference = compute_reference(stage, arguments.truth_change, arguments.whole_truth)
             ready = sum(stage.seconds.values()) - stage.seconds["geometry"]
             methods: dict[str, Method] = {key: METHODS[key] for key in FAST}
             measured = compare(methods, stage, reference, arguments.repeats)

@@ -3,7 +3,7 @@
 Three scenes that `cloudfit shafts` shows (a ridge, a window, lamps at night), each made ready once: depth buffer and shadow maps are the
 same for all methods, and only the part `stages` counts them. A method's seconds are those of its in-scattered light, its errors those
 against the truth: a march along every pixel's ray whose steps are doubled until they change the light by less than 0.1 %, with the
-same maps. Where that would take minutes, the truth is marched in 16 tiles, of 160 x 90 pixels or less. Methods take turns.
+same maps. Where that would take minutes, the truth is marched in 64 tiles at random places, unless `--whole-truth`. Methods take turns.
 `--parts` chooses among:
 
 - `methods`: each with its usual settings and refined, a drawing of time and error with `--out`
@@ -63,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--truth-change", type=float, default=1e-3, help="relative change at which the truth has converged"
     )
+    parser.add_argument("--whole-truth", action="store_true", help="of all pixels, however long it takes")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="for the drawings of time and error")
     parser.add_argument("--threads", type=int, default=available_cores())
 

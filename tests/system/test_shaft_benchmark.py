@@ -64,13 +64,13 @@ def test_a_line_is_fitted_to_seconds() -> None:
 
 
 def test_tiles_stand_for_a_large_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    stage = small_stage(small_scene(48, 32))
+    stage = small_stage(small_scene(120, 88))
     whole = compute_reference(stage, 1e-3)
-    assert whole.shape == (1, 32, 48)
+    assert whole.shape == (1, 88, 120)
     monkeypatch.setattr("benchmarks.shaft_measures.MOST_LAMP_RAYS", 1)
-    monkeypatch.setattr("benchmarks.shaft_measures.LEAST_SIDE", 12)
     tiles = compute_reference(stage, 1e-3)
-    assert tiles.shape == (16, 12, 12)
+    assert tiles.shape == (64, 11, 11)
+    assert len(tiles.pixels.unique()) == len(tiles.pixels)
     torch.testing.assert_close(tiles.light, whole.light[tiles.pixels], rtol=0.01, atol=1e-3)
     light = BruteForce(16).gather(stage).in_scattering
     assert judge(light, tiles)["relative_rms"] == pytest.approx(judge(light, whole)["relative_rms"], rel=0.3)
