@@ -10,7 +10,7 @@ from render.shafts.stage import MapSettings, prepare_stage
 from render.shafts.truth import choose_settings, compute_truth, measure_error
 
 MAPS = MapSettings(1024, 128)
-COARSE, WIDTH, HEIGHT = 96, 256, 144
+COARSE, WIDTH, HEIGHT = 192, 320, 180
 
 
 @pytest.mark.slow
@@ -39,3 +39,13 @@ def test_shadows_matter_in_random_scenes() -> None:
         bare = METHODS["brute_force"].at_full_density(32).gather(replace(stage, lighting=without.lighting))
         shares.append(measure_error(bare.in_scattering, truth).relative_rms)
     assert sum(share > 0.05 for share in shares) >= 8, shares
+
+
+def test_coarse_pictures_err_more_than_large_ones() -> None:
+    """The promise that settings chosen on a coarse picture rest upon: both are interpolated from lines."""
+    errors = []
+    for width in (192, 480):
+        stage = prepare_stage(draw_scene(3, 0, width, width * 9 // 16)[1], MAPS)
+        truth = compute_truth(stage).in_scattering
+        errors.append(measure_error(METHODS["auto"].gather(stage).in_scattering, truth).relative_rms)
+    assert errors[0] > errors[1] > 1e-3

@@ -14,8 +14,9 @@ from render.shafts.stage import Clock, Stage
 BLOCKED = 0.9
 """Share of a ray's length before which a surface means that the ray passes beside what its pixel sees."""
 
-MOST_RAYS = 2.0
-"""Rays for each pixel beyond which lines are given up; small pictures, on which settings are chosen, need more than one."""
+MOST_RAYS = 4.0
+"""Rays for each pixel beyond which lines are given up. Small pictures, on which settings are chosen, have up to three with the usual
+settings: without lines their error would say nothing of the interpolation in a large picture."""
 
 LineMarcher = Callable[[Lighting, ViewRays, Tensor | None], Tensor]
 """One light, rays, and the numbers of their epipolar lines `(ray,)` (None for rays of no line) to light `(ray, channel)`.
