@@ -77,7 +77,9 @@ class VoxelShadows:
         planes, light_rays = self.first_dark.shape
         plane = cell[..., 0].long().clamp(0, planes - 1)
         light_ray = cell[..., 2].floor().long().clamp(0, light_rays - 1)
-        return cell[..., 1].floor().long() < self.first_dark[plane, light_ray]
+        # By rounding, points of the first ray may lie before the first voxel.
+        view_ray = cell[..., 1].floor().long().clamp(min=0)
+        return view_ray < self.first_dark[plane, light_ray]
 
 
 def build_voxel_shadows(
