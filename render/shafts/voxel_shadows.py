@@ -2,7 +2,7 @@
 
 A point lies in a half-plane that begins at the line from the eye to the light, told by its angle alpha around that line; within it on
 one ray from the eye, told by its angle theta from that line, and on one ray from the light, told by its place phi. Along a ray from the
-light theta grows. So of the voxels (alpha, theta, phi) with one alpha and one phi, all from the first occluder on are dark: a scan over
+light theta grows. So of the voxels (alpha, theta, phi) with one alpha and one phi, all from that of the first occluder on are dark: a scan over
 one row of bits in the paper, and here one number, that of the first dark voxel.
 
 For a lamp phi is the angle at the lamp, for the sun the distance from the line through the eye. Imperfect are the shadows' borders, which
@@ -119,7 +119,7 @@ def build_voxel_shadows(
     voxel = torch.where(extent > 0.0, extent, 1.0) / sizes * (1.0 + 1e-6)
     reach = FAR * float(rays.distance.max())
     theta = _first_angles(caster, eye, axes, light_distance, lower, voxel, (counts.planes, counts.light_rays), reach)
-    first = ((theta - lower[1]) / voxel[1]).ceil().clamp(0, counts.view_rays + 1)
+    first = ((theta - lower[1]) / voxel[1]).floor().clamp(0, counts.view_rays + 1)
     return VoxelShadows(eye, axes, light_distance, lower, voxel, first.long())
 
 
