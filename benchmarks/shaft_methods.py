@@ -20,7 +20,7 @@ from benchmarks.shaft_measures import (
     error_cells,
     judge,
 )
-from render.shafts.methods import METHODS, Ali2017, Biri2006, BruteForce, Chen2011, Method
+from render.shafts.methods import METHODS, Ali2017, Biri2006, BruteForce, Chen2011, Froxels, Method
 from render.shafts.scene_file import load_scene
 from render.shafts.stage import Stage, prepare_stage
 
@@ -146,8 +146,8 @@ def measure_equal_time(arguments: argparse.Namespace) -> Outcome:
 
 
 def name_of_steps(method: Method) -> str:
-    """The setting that counts along a ray: nodes or looks where shadows are found otherwise than by steps."""
-    return {Chen2011: "nodes", Biri2006: "looks"}.get(type(method), "steps")
+    """The setting that counts along a ray: nodes, looks or cells where there are no steps."""
+    return {Chen2011: "nodes", Biri2006: "looks", Froxels: "cells"}.get(type(method), "steps")
 
 
 def with_steps(method: Any, steps: int) -> Method:

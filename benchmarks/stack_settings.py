@@ -8,7 +8,7 @@ from types import MappingProxyType
 from benchmarks.parameter_sets import Constant
 from cloudfit.colour_histogram import LEVELS
 from cloudfit.quality import Quality
-from precompute import smoothing, source_group, source_model
+from precompute import group_task, smoothing, source_model
 from precompute.error_budget import Effort
 
 
@@ -134,7 +134,7 @@ def _step(base: Setting) -> list[Setting]:
     names = ("STEP_DEPTH", "SMALLEST_STEP", "LARGEST_STEP")
     settings = []
     for factor in (0.5, 2.0, 4.0):
-        constants = tuple((source_group, name, factor * getattr(source_group, name)) for name in names)
+        constants = tuple((group_task, name, factor * getattr(group_task, name)) for name in names)
         settings.append(base.with_recipe("step", f"x {factor:g}", replace(base.recipe, constants=constants)))
     return settings
 

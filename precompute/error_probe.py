@@ -43,7 +43,7 @@ class ErrorProbe:
         lattice: of the source points.
         entry: number of each lattice point among the source points `(lattice point,)` int32.
         strata: of all rays.
-        single: single scattering `(extinction, ray)`.
+        single: single scattering and its error, each `(extinction, ray)`.
         asymmetry: nodes `(asymmetry,)`.
         plan: of the orders.
         albedo: at which the composed image is judged `(albedo,)`.
@@ -56,7 +56,7 @@ class ErrorProbe:
         lattice: Lattice,
         entry: Tensor,
         strata: Strata,
-        single: Tensor,
+        single: tuple[Tensor, Tensor],
         asymmetry: Tensor,
         plan: OrderPlan,
         albedo: Tensor,
@@ -69,7 +69,7 @@ class ErrorProbe:
         for bags in gather_bags(lattice, part.origin, part.direction, some):
             self._bags[bags.extinction].append((entry[bags.numbers], bags.weights))
         phase = evaluate_phase_function(part.direction @ view.sun, asymmetry[:, None])
-        self._single = (phase[:, None] * single[:, self.rays]).double()
+        self._single, self._single_error = ((phase[:, None] * one[:, self.rays]).double() for one in single)
         self._albedo, self._powers = albedo.double(), albedo.double()[:, None] ** torch.tensor(plan.knots)
         self._plan, self._tail = plan, tail
 
@@ -104,7 +104,8 @@ class ErrorProbe:
         of_raw, of_smooth = (torch.einsum("ahkg,rhkg->rhag", powers, image.double()) for image in (raw, smooth))
         errors = LevelErrors.of(of_raw, of_smooth)
         total = albedo[:, None] * self._single[:, node].T[:, None] + of_smooth.mean(1)
-        return relative_error(errors.total, total.square().mean(0))
+        of_single = albedo[:, None].square() * self._single_error[:, node].square().mean(1)
+        return relative_error(errors.total + of_single, total.square().mean(0))
 
     def smooth(self, node: int, source: Tensor, neighbours: Neighbourhood, model: SourceModel) -> SmoothSource:
         """Smooth the source at one extinction, image by image so that the levels of one only are held at once.

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from precompute.error_budget import ALBEDOS, Effort
+from precompute.group_task import GroupTask
 from precompute.order_plan import SEPARATE_ORDERS, close_tail, plan_orders
-from precompute.source_group import GroupImages, GroupTask, build_group
+from precompute.source_group import GroupImages, build_group
 from precompute.view import View, view_of
 from render.camera import Camera
 from render.density_grid import DensityGrid

@@ -22,6 +22,10 @@ ABSORPTION_SAMPLES = 4096
 """Samples of the mean absorption over the optical length, evenly spaced in its logarithm; they only say where to cut."""
 
 
+ERROR_DIVISOR = 1.4
+"""Half as many sections err by nearly twice as much, and otherwise: against path-traced pixels at optical depths of 9 to 57 the
+estimate is then 0.5 to 1.4 of the error, 0.95 in the mean."""
+
 CAMERA_SHARE = 0.5
 """Step along camera rays over that towards the sun. They cost next to nothing beside the marches towards the sun, and at an optical depth
 of 25 over 32 voxels a step of half a voxel made the image 1.9 per cent too bright, an eighth 0.7."""
@@ -36,7 +40,22 @@ def compute_single_scattering(
     step: float,
     sections: int = 32,
 ) -> Tensor:
-    """Single-scattering integral S1 of rays.
+    """Single-scattering integral S1 of rays; arguments and result as of `estimate_single_scattering`, without the error."""
+    return estimate_single_scattering(grid, origin, direction, sun_direction, extinction, step, sections)[0]
+
+
+def estimate_single_scattering(
+    grid: DensityGrid,
+    origin: Tensor,
+    direction: Tensor,
+    sun_direction: Tensor,
+    extinction: Tensor,
+    step: float,
+    sections: int = 32,
+) -> tuple[Tensor, Tensor]:
+    """Single-scattering integral S1 of rays, and how far off it is about.
+
+    The error is what every second edge alone would change, over `ERROR_DIVISOR`.
 
     Args:
         grid: the volume.
@@ -48,13 +67,18 @@ def compute_single_scattering(
         sections: of each ray.
 
     Returns:
-        S1 `(extinction, ray)`, dimensionless; times albedo, phase function and sunlight it is the radiance.
+        S1 `(extinction, ray)`, dimensionless; times albedo, phase function and sunlight it is the radiance. And its error, likewise.
     """
     parts = [
         _integrate_rays(grid, origin[rays], direction[rays], sun_direction, extinction, step, sections)
         for rays in ray_chunks(grid, len(origin), CAMERA_SHARE * step)
     ]
-    return torch.cat(parts, dim=1) if parts else torch.zeros(len(extinction), 0)
+    fine, coarse = (
+        (torch.cat(ones, dim=1) for ones in zip(*parts, strict=True))
+        if parts
+        else [torch.zeros(len(extinction), 0)] * 2
+    )
+    return fine, (fine - coarse).abs() / ERROR_DIVISOR
 
 
 def _integrate_rays(
@@ -65,7 +89,8 @@ def _integrate_rays(
     extinction: Tensor,
     step: float,
     sections: int,
-) -> Tensor:
+) -> tuple[Tensor, Tensor]:
+    """S1 between all edges and between every second one, each `(extinction, ray)`."""
     profile = march_rays(grid, origin, direction, CAMERA_SHARE * step)
     distance, optical_length = _cut_into_sections(profile, extinction, sections)
     points = origin[:, None] + distance[..., None] * direction[:, None]
@@ -74,6 +99,15 @@ def _integrate_rays(
     sun_length = torch.cat(
         [march_to_sun(grid, part, sun_direction, extinction[0], step) for part in points.reshape(-1, 3).split(1 << 16)]
     ).reshape(distance.shape)
+    second = torch.tensor([*range(0, sections, 2), sections])
+    return (
+        _integrate_sections(optical_length, sun_length, extinction),
+        _integrate_sections(optical_length[:, second], sun_length[:, second], extinction),
+    )
+
+
+def _integrate_sections(optical_length: Tensor, sun_length: Tensor, extinction: Tensor) -> Tensor:
+    """S1 `(extinction, ray)` of rays whose optical lengths, from the camera and to the sun, are known at edges `(ray, edge)` [m]."""
     lit = optical_length + sun_length
     growth, change = optical_length.diff(dim=1), lit.diff(dim=1).abs()
     nearer = torch.minimum(lit[:, :-1], lit[:, 1:])

@@ -5,7 +5,6 @@ that the camera sees, closer together than the mean free path allows anywhere el
 step and its own set of paths for all of its nodes.
 """
 
-import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -24,38 +23,23 @@ from precompute.error_budget import (
 )
 from precompute.error_probe import ErrorProbe, SmoothSource, probe_rays
 from precompute.gather import Lattice, Strata, gather_bags, lattice_over, stratify_rays
+from precompute.group_task import GroupTask
 from precompute.order_plan import OrderPlan, plan_orders
-from precompute.path_sampler import TableNodes
-from precompute.single_scattering import compute_single_scattering
+from precompute.single_scattering import estimate_single_scattering
 from precompute.smoothing import find_neighbours
 from precompute.source_model import SourceModel, Surroundings, measure_surroundings
 from precompute.source_points import SourceTable, allocate_paths
 from precompute.view import View
 from render.phase_functions import evaluate_phase_function
 
-STEP_DEPTH = 0.5
-"""Optical depth of a marching step in the densest voxel, within the bounds that follow."""
-
-SMALLEST_STEP, LARGEST_STEP = 0.25, 1.0
-"""Bounds of the marching step in voxels."""
-
 THICK_SPACING = 0.5
 """Closest lattice in voxels: pixels and density vary over a voxel, not over less."""
-
-SECTIONS_PER_STRATUM = 2
-"""Single scattering is cut finer than the source points' strata: it has no noise to hide behind."""
-
-THIN_DEPTH, FEWEST_STRATA = 2.0, 4
-"""In groups thinner than this the number of strata falls with the root of the depth: where little is absorbed, little depends on where."""
 
 FAINT_SHARE, FAINT_EFFORT = 5.0, 0.1
 """Multiple scattering below so many times the tolerance gets a tenth of the points and paths; the error is estimated as ever."""
 
 LARGEST_LATTICE = 1 << 24
 """Lattice points that may be numbered, whether or not they are used."""
-
-THINNEST_ANCHOR = 0.5
-"""Largest optical depth below which no path is drawn: multiple scattering is a per-cent effect there, and reweighting reaches it."""
 
 PILOT_POINTS, PILOT_PATHS = 2000, 32_000
 """Source points and paths of the pilot that says how fast the orders decay."""
@@ -84,56 +68,6 @@ class GroupImages:
     report: GroupReport
 
 
-@dataclass(frozen=True, eq=False)
-class GroupTask:
-    """What a group is made of.
-
-    Args:
-        view: rays, volume and sun.
-        asymmetry: nodes `(asymmetry,)`.
-        extinction: nodes of the group `(extinction,)` [1/m].
-        albedo: at which errors are judged `(albedo,)`.
-        effort: work of this group.
-        seed: of its random streams.
-    """
-
-    view: View
-    asymmetry: Tensor
-    extinction: Tensor
-    albedo: Tensor
-    effort: Effort
-    seed: int
-
-    @property
-    def step(self) -> float:
-        """Marching step [voxel]."""
-        grid = self.view.grid
-        voxel_depth = float(self.extinction[-1]) * grid.maximum * float(grid.voxel_size.min())
-        return min(max(STEP_DEPTH / voxel_depth, SMALLEST_STEP), LARGEST_STEP)
-
-    @property
-    def strata(self) -> int:
-        """Positions along a ray."""
-        depth = float(self.extinction[-1]) * self.view.largest_optical_length
-        needed = math.ceil(self.effort.strata * min(1.0, math.sqrt(depth / THIN_DEPTH)))
-        return min(self.effort.strata, max(FEWEST_STRATA, needed))
-
-    @property
-    def nodes(self) -> TableNodes:
-        """Nodes and anchors of the paths."""
-        anchors = self.extinction[self.extinction * self.view.largest_optical_length >= THINNEST_ANCHOR]
-        return TableNodes(
-            self.asymmetry, self.extinction, self.asymmetry, anchors if len(anchors) else self.extinction[-1:]
-        )
-
-    def source_table(self, lattice: Lattice, plan: OrderPlan, stream: int) -> SourceTable:
-        """Empty table of the source on a lattice; `stream` tells its random numbers from those of the group's other tables."""
-        view = self.view
-        return SourceTable(
-            view.grid, view.camera, view.sun, lattice, self.nodes, plan, self.step, 2 * self.seed + stream
-        )
-
-
 class _Clock:
     """Seconds by part."""
 
@@ -154,9 +88,8 @@ class _Clock:
 def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages:
     """Images of a group; `report` is called with the share that is done."""
     clock, view = _Clock(), task.view
-    sections = SECTIONS_PER_STRATUM * task.strata
-    single = compute_single_scattering(
-        view.grid, view.origin, view.direction, view.sun, task.extinction, task.step, sections
+    single, single_error = estimate_single_scattering(
+        view.grid, view.origin, view.direction, view.sun, task.extinction, task.step, task.sections
     )
     clock.lap("single scattering")
     report(0.1)
@@ -176,7 +109,8 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     clock.lap("paths")
     entry = torch.zeros(lattice.size, dtype=torch.int32)
     entry[table.numbers] = torch.arange(len(table.numbers), dtype=torch.int32)
-    probe = ErrorProbe(view, lattice, entry, strata, single, task.asymmetry, plan, task.albedo, effort.tail)
+    once = (single, single_error)
+    probe = ErrorProbe(view, lattice, entry, strata, once, task.asymmetry, plan, task.albedo, effort.tail)
     surroundings = measure_surroundings(view.grid, view.camera, view.sun, lattice.positions(table.numbers))
     clock.lap("source model")
     smoother = _Smoother(table, probe, surroundings, task.extinction)

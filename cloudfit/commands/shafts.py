@@ -1,6 +1,7 @@
 """`cloudfit shafts`: shafts of light through air and fog."""
 
 import enum
+import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,9 +27,12 @@ cloudfit shafts window --method brute_force --camera-width 1920 --camera-height 
 
 cloudfit shafts columns --sheet-times 6,8,12,18 --out day.png
 
+cloudfit shafts lamps_in_fog --sheet-seconds 0,10,20,30 --out "drift_{}.png"
+
 cloudfit shafts my_scene.toml --tolerance 0.01 --out mine.png
 
-The presets are columns, lights, ridge and window. docs/shafts.md has the keys of scene files and the errors of the methods.
+The presets are columns, fogbank, lamps_in_fog, lights, ridge and window.
+docs/shafts.md has the keys of scene files and the errors of the methods.
 
 Exit codes: 0 all done, 2 wrong usage, 3 bad input, 130 interrupted."""
 
@@ -47,6 +51,7 @@ class MethodName(enum.StrEnum):
     BIRI2006 = "biri2006"
     WYMAN2013 = "wyman2013"
     ADAPTIVE = "adaptive"
+    TAN2020_FROXELS = "tan2020_froxels"
 
 
 Scene = Annotated[str, typer.Argument(help="A preset or a scene file (.toml).")]
@@ -69,6 +74,13 @@ SheetTimes = Annotated[
     str | None,
     typer.Option(help="Hours of the day, such as 6,9,12: a picture for each, side by side.", rich_help_panel=PICTURE),
 ]
+SheetSeconds = Annotated[
+    str | None,
+    typer.Option(help="Times of the fog in seconds, such as 0,20,40: as --sheet-times.", rich_help_panel=PICTURE),
+]
+FogStrength = Annotated[
+    float, typer.Option(min=0, help="Factor on the density of all banks of fog.", rich_help_panel=o.SCENE)
+]
 Latitude = Annotated[
     float, typer.Option(min=-90, max=90, help="In degrees, for --sheet-times.", rich_help_panel=PICTURE)
 ]
@@ -77,7 +89,10 @@ Exposure = Annotated[float, typer.Option(help="Stops by which the picture is bri
 Out = Annotated[
     list[Path] | None,
     typer.Option(
-        help="File to write, .png or .exr; repeat it for both.", show_default="shafts.png", rich_help_panel=PICTURE
+        help="File to write, .png or .exr; repeat it for both. A {} in the name becomes the number of each picture of a sheet, "
+        "which then has a file of its own.",
+        show_default="shafts.png",
+        rich_help_panel=PICTURE,
     ),
 ]
 NoAir = Annotated[bool, typer.Option("--off-on", help="The scene without air beside it.", rich_help_panel=PICTURE)]
@@ -98,6 +113,8 @@ def shafts(
     camera_width: Size = None,
     camera_height: Size = None,
     sheet_times: SheetTimes = None,
+    sheet_seconds: SheetSeconds = None,
+    fog_strength: FogStrength = 1.0,
     latitude: Latitude = 47.0,
     day: Day = 172,
     off_on: NoAir = False,
@@ -126,14 +143,16 @@ def shafts(
         started = time.perf_counter()
         maps = MapSettings(sun_map, lamp_map, exact_shadows)
         whole = resized(load_scene(scene), camera_width, camera_height)
-        scenes = list_scenes(whole, (sun_azimuth, sun_elevation), sheet_times, latitude, day)
+        foggy = list_fogs(whole, sheet_seconds, fog_strength)
+        sun = (sun_azimuth, sun_elevation)
+        scenes = [scene for one in foggy for scene in list_scenes(one, sun, sheet_times, latitude, day)]
         frames = []
         with speaker.progress() as bars:
             for number, one in enumerate(scenes):
                 bars.stage("shafts", number / len(scenes))
                 chosen = choose_method(find_method(method.value), one, tolerance, maps, speaker)
                 frames.append(render_frame(one, chosen, maps))
-        write_frames(files, frames, exposure, off_on)
+        files = write_frames(files, frames, exposure, off_on)
         tell_frames(frames, files, time.perf_counter() - started, speaker, json)
 
 
@@ -180,24 +199,51 @@ def list_scenes(
     if times is not None:
         angles = [find_sun(hour, radians_from_degrees(latitude), day) for hour in parse_hours(times)]
         intensity = max(scene.sun.irradiance) / max(make_sun(0.0, radians_from_degrees(30.0)).irradiance)
-        return [replace(scene, sun=make_sun(*pair, intensity)) for pair in angles]
+        suns = [make_sun(*pair, intensity) for pair in angles]
+        return [
+            replace(scene, sun=replace(scene.sun, direction=sun.direction, irradiance=sun.irradiance)) for sun in suns
+        ]
     if sun[0] is None or sun[1] is None:
         raise ParameterError("--sun-azimuth and --sun-elevation go together")
     direction = direction_from_angles(radians_from_degrees(sun[0]), radians_from_degrees(sun[1]))
     return [replace(scene, sun=replace(scene.sun, direction=direction))]
 
 
+def list_fogs(scene: "ShaftScene", seconds: str | None, strength: float) -> "list[ShaftScene]":
+    """The scene with its banks of fog of a strength, at each of the times that are asked for, or at its own.
+
+    Raises:
+        ParameterError: for times that are none, or anything asked of a scene without banks.
+    """
+    from dataclasses import replace
+
+    from render.errors import ParameterError
+
+    if seconds is None and strength == 1.0:
+        return [scene]
+    if not scene.air.banks:
+        raise ParameterError("the scene has no bank of fog that could be changed")
+    banks = tuple(replace(bank, strength=strength * bank.strength) for bank in scene.air.banks)
+    scene = replace(scene, air=replace(scene.air, banks=banks))
+    return [scene] if seconds is None else [scene.at_time(time) for time in parse_numbers(seconds, "seconds", math.inf)]
+
+
 def parse_hours(text: str) -> list[float]:
     """Hours from a text such as 6,7.5,12. Raises ParameterError for anything else."""
+    return parse_numbers(text, "hours of the day", 24.0)
+
+
+def parse_numbers(text: str, name: str, most: float) -> list[float]:
+    """Finite numbers from 0 to a limit from a text such as 6,7.5,12. Raises ParameterError for anything else."""
     from render.errors import ParameterError
 
     try:
-        hours = [float(part) for part in text.split(",")]
+        numbers = [float(part) for part in text.split(",")]
     except ValueError:
-        hours = []
-    if not hours or not all(0.0 <= hour <= 24.0 for hour in hours):
-        raise ParameterError(f"expected hours of the day such as 6,7.5,12, got {text!r}")
-    return hours
+        numbers = []
+    if not numbers or not all(0.0 <= number <= most and math.isfinite(number) for number in numbers):
+        raise ParameterError(f"expected {name} such as 6,7.5,12, got {text!r}")
+    return numbers
 
 
 def choose_method(
@@ -216,8 +262,31 @@ def choose_method(
     return chosen.method
 
 
-def write_frames(files: list[Path], frames: "list[Frame]", exposure: float, off_on: bool) -> None:
-    """Write the frames side by side to every file, each with what is seen without air on its left if asked for."""
+def write_frames(files: list[Path], frames: "list[Frame]", exposure: float, off_on: bool) -> list[Path]:
+    """Write the frames to every file: side by side, or a file for each where a name has a place for its number.
+
+    Args:
+        files: names.
+        frames: one or more.
+        exposure: stops by which they are brightened.
+        off_on: put what is seen without air on the left of each.
+
+    Returns:
+        The files that were written.
+    """
+    written = []
+    for path in files:
+        numbered = "{}" in path.name
+        for number in range(len(frames) if numbered else 1):
+            some = frames[number : number + 1] if numbered else frames
+            name = path.with_name(path.name.replace("{}", f"{number:03}"))
+            _WRITERS[path.suffix.lower()](name, _join_frames(some, exposure, off_on))
+            written.append(name)
+    return written
+
+
+def _join_frames(frames: "list[Frame]", exposure: float, off_on: bool) -> "dict[str, Tensor]":
+    """Layers of frames side by side."""
     import torch
 
     gain = 2.0**exposure
@@ -228,8 +297,7 @@ def write_frames(files: list[Path], frames: "list[Frame]", exposure: float, off_
         joined = {"rgb": torch.cat(parts, dim=1)}
     for name in set(joined) - {"transmittance", "distance"}:
         joined[name] = gain * joined[name]
-    for path in files:
-        _WRITERS[path.suffix.lower()](path, joined)
+    return joined
 
 
 def _write_png(path: Path, layers: "dict[str, Tensor]") -> None:

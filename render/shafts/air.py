@@ -5,28 +5,16 @@ along the view ray, to the sun and to a point light. Several constituents share 
 """
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from render.errors import ParameterError
 from render.media import LayeredMedium, compute_optical_depth
 from render.media.layer import Number
-from render.phase_functions import check_asymmetry, evaluate_phase_function
-from render.rayleigh_phase import evaluate_rayleigh_phase
-
-Colour = tuple[float, float, float]
-
-PHASE_FUNCTIONS: Mapping[str, Callable[[Tensor, float], Tensor]] = MappingProxyType(
-    {
-        "rayleigh": lambda cosine, _: evaluate_rayleigh_phase(cosine),
-        "henyey_greenstein": evaluate_phase_function,
-    }
-)
-"""Phase functions by name: cosine (any shape) and asymmetry to values [1/sr]. The first takes no notice of the asymmetry."""
+from render.shafts.fog_bank import FogBank
+from render.shafts.particles import PHASE_FUNCTIONS, Colour, Particles, check_particles
+from render.shafts.rays import ViewRays
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +39,7 @@ class Constituent:
     asymmetry: float = 0.0
 
     def __post_init__(self) -> None:
-        check_asymmetry(self.asymmetry)
-        check_colour("the colour of an extinction", self.colour)
-        if not 0.0 <= self.albedo <= 1.0:
-            raise ParameterError(f"expected an albedo in 0..1, got {self.albedo}")
-        if self.phase not in PHASE_FUNCTIONS:
-            raise ParameterError(f"no phase function is called {self.phase!r}; there are {', '.join(PHASE_FUNCTIONS)}")
+        check_particles(self)
 
     def evaluate_phase(self, cosine: Tensor) -> Tensor:
         """Phase function [1/sr] of the cosine between view ray and direction to the light, any shape."""
@@ -70,20 +53,35 @@ class Constituent:
 
 @dataclass(frozen=True)
 class Air:
-    """All constituents of the air; none is a vacuum."""
+    """All that fills the air of a scene.
+
+    Args:
+        constituents: level layers; none is a vacuum.
+        banks: fog that has a place.
+    """
 
     constituents: tuple[Constituent, ...] = ()
+    banks: tuple[FogBank, ...] = ()
+
+    @property
+    def particles(self) -> tuple[Particles, ...]:
+        """Whatever scatters: the constituents, then the banks."""
+        return (*self.constituents, *self.banks)
 
     @property
     def empty(self) -> bool:
         """Whether there is nothing that scatters or absorbs."""
-        return all(
+        return all(bank.empty for bank in self.banks) and all(
             not any(part.colour) or not bool((torch.as_tensor(_extinction(part)) > 0.0).any())
             for part in self.constituents
         )
 
+    def at_time(self, time: float) -> "Air":
+        """The same air with its banks at another time [s]."""
+        return replace(self, banks=tuple(bank.at_time(time) for bank in self.banks))
+
     def compute_depth(self, height: Tensor, slope: Tensor, distance: Number = math.inf) -> Tensor:
-        """Optical depth of rays.
+        """Optical depth of the layers along rays, that of banks left out.
 
         Args:
             height: where they begin `(...)` [m].
@@ -98,19 +96,17 @@ class Air:
             total = total + part.compute_depth(height, slope, distance)
         return total
 
-    def mean_albedo(self, height: Tensor, slope: Tensor, distance: Tensor) -> Tensor:
-        """Albedo `(ray, channel)` [1] of what rays `(ray,)` meet, weighted by optical depth; 0 where they meet nothing."""
-        scattered = total = height.new_zeros(len(slope), 3)
+    def compute_ray_depths(self, rays: ViewRays) -> tuple[Tensor, Tensor]:
+        """Optical depth of view rays through layers and banks, and the part of it that is scattered, each `(ray, channel)` [1]."""
+        height, slope = rays.origin[:, 2], rays.direction[:, 2]
+        total = scattered = height.new_zeros(len(rays), 3)
         for part in self.constituents:
-            depth = part.compute_depth(height, slope, distance)
-            scattered, total = scattered + part.albedo * depth, total + depth
-        return torch.where(total > 0.0, scattered / torch.where(total > 0.0, total, 1.0), 0.0)
-
-
-def check_colour(name: str, colour: Colour) -> None:
-    """Raise ParameterError unless a colour has three finite numbers of at least 0."""
-    if len(colour) != 3 or not all(math.isfinite(part) and part >= 0.0 for part in colour):
-        raise ParameterError(f"{name}: expected three finite numbers of at least 0, got {colour}")
+            depth = part.compute_depth(height, slope, rays.distance)
+            total, scattered = total + depth, scattered + part.albedo * depth
+        for bank in self.banks:
+            depth = bank.compute_ray_depth(rays)
+            total, scattered = total + depth, scattered + bank.albedo * depth
+        return total, scattered
 
 
 def _extinction(part: Constituent) -> Number:

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from render.errors import SceneError
-from render.shafts.air import Colour
 from render.shafts.mesh import GREY, Mesh, make_mesh
+from render.shafts.particles import Colour
 
 GRASS: Colour = (0.10, 0.13, 0.05)
 ROCK: Colour = (0.22, 0.19, 0.16)

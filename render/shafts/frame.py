@@ -100,12 +100,11 @@ def compose_frame(stage: Stage, method: Method) -> Frame:
 
 def _compose(stage: Stage, gathered: Gathered) -> dict[str, Tensor]:
     scene, rays = stage.scene, stage.rays
-    height, slope = rays.origin[:, 2], rays.direction[:, 2]
-    depth = scene.air.compute_depth(height, slope, rays.distance)
+    depth, scattered = scene.air.compute_ray_depths(rays)
     transmittance = torch.exp(-depth)
     ambient = torch.zeros_like(depth)
     if any(scene.ambient):
-        albedo = scene.air.mean_albedo(height, slope, rays.distance)
+        albedo = torch.where(depth > 0.0, scattered / torch.where(depth > 0.0, depth, 1.0), 0.0)
         ambient = -albedo * torch.expm1(-depth) * depth.new_tensor(scene.ambient)
     radiance = transmittance * stage.background + gathered.in_scattering + ambient
     return {

@@ -233,34 +233,6 @@ def _join(values: Floats, neighbours: Places, share: Floats, dense: Floats, firs
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _spread(dense: Floats, samples: Places, weights: Floats, spread: Floats, first: int, last: int) -> None:
-    for n in range(first, last):
-        spread[n] = 0.0
-        for c in range(dense.shape[1]):
-            least, most = np.inf, -np.inf
-            for k in range(4):
-                if weights[n, k] > 0.0:
-                    least, most = min(least, dense[samples[n, k], c]), max(most, dense[samples[n, k], c])
-            spread[n] = max(spread[n], most - least)
-
-
-def spread_of_pixels(dense: Tensor, samples: Tensor, weights: Tensor) -> Tensor:
-    """As `epipolar_refinement.spread_of_pixels`.
-
-    Args:
-        dense: values of the dense samples, float32 `(sample, channel)`.
-        samples, weights: as in `EpipolarSampling`.
-
-    Returns:
-        Largest difference of the samples that enter each pixel `(pixel,)`.
-    """
-    known, around, weighs = dense.contiguous().numpy(), samples.numpy(), weights.numpy()
-    spread = np.empty(len(around), np.float32)
-    run_in_threads(lambda first, last: _spread(known, around, weighs, spread, first, last), len(around), PIXELS)
-    return torch.from_numpy(spread)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
 def _gather(dense: Floats, samples: Places, weights: Floats, image: Floats, first: int, last: int) -> None:
     for n in range(first, last):
         for c in range(dense.shape[1]):

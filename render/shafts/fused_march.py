@@ -1,7 +1,6 @@
 """Fused twin of `march`; imported only where numba is installed."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -10,8 +9,10 @@ from torch import Tensor
 
 from render.fused import announce_compilation, run_in_threads
 from render.media import ExponentialDecay, LinearDecay, Uniform
-from render.shafts.air import Air
+from render.shafts.air import Air, Constituent
 from render.shafts.cube_shadow_map import CubeShadowMap
+from render.shafts.fog_bank import FogBank
+from render.shafts.fused_banks import Banks, bank_arrays, light_through_banks, measure_banks
 from render.shafts.fused_shadows import OPTIONS, Doubles, Floats, Line, lamp_line, lamp_share, sun_line, sun_share
 from render.shafts.lights import Lighting
 from render.shafts.march import ShadowLooks
@@ -26,6 +27,9 @@ loop = njit(**OPTIONS)
 
 KINDS = {Uniform: 0.0, LinearDecay: 1.0, ExponentialDecay: 2.0}
 """Numbers of the profiles."""
+
+BANK = 3.0
+"""Number of a bank of fog, whose depths are not those of a layer."""
 
 
 @loop
@@ -135,7 +139,7 @@ def _lamp_step(
     if lamps[k, 7] < np.inf:
         square = (distance / lamps[k, 7]) * (distance / lamps[k, 7])
         spread *= (1.0 - square * square) * (1.0 - square * square)
-    channels = len(arriving)
+    channels, through = len(arriving), 3 * len(layers)
     for c in range(channels):
         weight = depth = 0.0
         for m in range(len(layers)):
@@ -144,7 +148,7 @@ def _lamp_step(
                 greys[2 * len(layers) + m] = _grey_depth(layers, m, lamps[k, 2] + dz, lamps[k, 2], distance)
             weight += greys[len(layers) + m] * layers[m, 6 + c]
             depth += greys[2 * len(layers) + m] * layers[m, 6 + c]
-        amount = spread * weight * arriving[c] * np.exp(-depth)
+        amount = spread * weight * arriving[c] * np.exp(-depth) * greys[through + c]
         light[c] += lamps[k, 3 + c] * amount
         if channels == 1:
             light[1] += lamps[k, 4] * amount
@@ -174,12 +178,16 @@ def _measure_step(
     layers: Doubles, phase: Floats, n: int, low: float, high: float, length: float,
     step: Doubles, source: Doubles, greys: Doubles,
 ) -> None:  # fmt: skip
-    """Optical depth of a step by channel and constituent, and the part of it that scatters sunlight into the ray."""
+    """Optical depth of a step by channel and constituent, and the part of it that scatters sunlight into the ray.
+
+    The grey depths of banks are known already.
+    """
     # Written out: loops over three channels become vector code, whose preparation takes longer than they do.
     red = green = blue = scattered_red = scattered_green = scattered_blue = 0.0
     for m in range(len(layers)):
-        grey = _grey_depth(layers, m, low, high, length)
-        greys[m] = grey
+        if layers[m, 0] != BANK:
+            greys[m] = _grey_depth(layers, m, low, high, length)
+        grey = greys[m]
         scattered = grey * phase[n, m]
         red += grey * layers[m, 6]
         scattered_red += scattered * layers[m, 6]
@@ -195,16 +203,22 @@ def _measure_step(
 
 @loop
 def _sun_step(
-    table: Doubles, heights: Doubles, irradiance: Doubles, low: float, high: float, known: bool, lit: float,
-    before: Doubles, step: Doubles, source: Doubles, sun_low: Doubles, sun_high: Doubles, light: Doubles,
+    sun: Sunlight, banks: Banks, layers: Doubles, rays: Floats, n: int, begin: float, end: float, known: bool,
+    lit: float, work: Work, light: Doubles,
 ) -> None:  # fmt: skip
     """Add the sunlight of one step; `known` if the depth to the sun at its beginning is that at the end of the last one."""
+    table, lowest, spacing, irradiance = sun[1], sun[2][0], sun[2][1], sun[3]
+    before, step, source, sun_low, sun_high, arriving = work[0], work[1], work[2], work[3], work[4], work[5]
     if not known:
-        _look_up_depth(table, heights[0], heights[1], low, sun_low)
-    _look_up_depth(table, heights[0], heights[1], high, sun_high)
-    channels = len(step)
+        _look_up_depth(table, lowest, spacing, float(rays[n, 2]) + float(rays[n, 5]) * begin, sun_low)
+    _look_up_depth(table, lowest, spacing, float(rays[n, 2]) + float(rays[n, 5]) * end, sun_high)
+    channels, foggy = len(step), len(banks[2]) > 0
+    if foggy:
+        light_through_banks(banks, layers, 1, rays, n, 0.5 * (begin + end), channels, arriving, 0)
     for c in range(channels):
         mean = lit * _mean_exponential(before[c] + sun_low[c], before[c] + step[c] + sun_high[c])
+        if foggy:
+            mean *= arriving[c]
         light[c] += irradiance[c] * source[c] * mean
         if channels == 1:
             light[1] += irradiance[1] * source[0] * mean
@@ -212,41 +226,53 @@ def _sun_step(
         sun_low[c] = sun_high[c]
 
 
+@njit(inline="always", **OPTIONS)
+def _pass_step(before: Doubles, step: Doubles, arriving: Doubles, lamps: bool) -> float:
+    """Pass a step: what of its light reaches the eye if lamps ask, and the depth behind it, the least of whose channels comes back."""
+    least = np.inf
+    for c in range(len(step)):
+        if lamps:
+            arriving[c] = _mean_exponential(before[c], before[c] + step[c])
+        before[c] += step[c]
+        least = min(least, before[c])
+    return least
+
+
 @loop
 def _march_ray(
-    rays: Floats, edges: Floats, n: int, layers: Doubles, sun: Sunlight, maps: Maps,
+    rays: Floats, edges: Floats, n: int, layers: Doubles, sun: Sunlight, maps: Maps, banks: Banks,
     deepest: float, count: int, halvings: int, work: Work, light: Doubles,
 ) -> None:  # fmt: skip
     """All steps of one ray."""
-    phase, table, heights, irradiance = sun
+    phase, irradiance = sun[0], sun[3]
     frame, tops, lamps, cubes = maps
-    before, step, source, sun_low, sun_high, arriving, greys, closest = work
+    before, step, source, arriving, greys, closest = work[0], work[1], work[2], work[5], work[6], work[7]
     for c in range(3):
         light[c] = 0.0
-    for c in range(len(step)):
-        before[c] = 0.0
-    low, known, has_sun = float(rays[n, 2]), False, len(irradiance) > 0
+    before[:] = 0.0
+    greys[:] = 1.0  # the last three are what banks leave of a lamp
+    low, known, has_sun, foggy = float(rays[n, 2]), False, len(irradiance) > 0, len(banks[2]) > 0
     for k in range(len(lamps)):
         _nearest(lamps, k, rays, n, closest)
     line = sun_line(frame, rays, n)
     for i in range(edges.shape[1] - 1):
         begin, end = float(edges[n, i]), float(edges[n, i + 1])
         high = float(rays[n, 2]) + float(rays[n, 5]) * end
+        if foggy:
+            measure_banks(banks, layers, rays, n, begin, end, greys)
         _measure_step(layers, phase, n, low, high, end - begin, step, source, greys)
         lit = 0.0
         if has_sun and end > begin:
             lit = sun_share(tops, line, begin, end - begin, count, halvings)
         if lit > 0.0:
-            _sun_step(table, heights, irradiance, low, high, known, lit, before, step, source, sun_low, sun_high, light)
+            _sun_step(sun, banks, layers, rays, n, begin, end, known, lit, work, light)
         known = lit > 0.0
-        least = np.inf
-        for c in range(len(step)):
-            if len(lamps) > 0:
-                arriving[c] = _mean_exponential(before[c], before[c] + step[c])
-            before[c] += step[c]
-            least = min(least, before[c])
+        least = _pass_step(before, step, arriving, len(lamps) > 0)
         for k in range(len(lamps) if end > begin else 0):
             share = _share_of_lamp(cubes, closest, k, lamp_line(lamps, k, rays, n), begin, end, count, halvings)
+            if share > 0.0 and foggy:
+                middle = _brightest_place(closest, k, begin, end)
+                light_through_banks(banks, layers, k + 2, rays, n, middle, len(step), greys, 3 * len(layers))
             if share > 0.0:
                 _lamp_step(lamps, closest, k, layers, rays, n, begin, end, greys, arriving, light, share)
         low = high
@@ -256,12 +282,12 @@ def _march_ray(
 
 @loop
 def _march(
-    rays: Floats, edges: Floats, layers: Doubles, sun: Sunlight, maps: Maps, deepest: float, count: int, halvings: int,
-    work: Work, light: Doubles, found: Floats, first: int, last: int,
+    rays: Floats, edges: Floats, layers: Doubles, sun: Sunlight, maps: Maps, banks: Banks, deepest: float, count: int,
+    halvings: int, work: Work, light: Doubles, found: Floats, first: int, last: int,
 ) -> None:  # fmt: skip
     """The rays from `first` to `last`; one channel stands for all where the air is grey."""
     for n in range(first, last):
-        _march_ray(rays, edges, n, layers, sun, maps, deepest, count, halvings, work, light)
+        _march_ray(rays, edges, n, layers, sun, maps, banks, deepest, count, halvings, work, light)
         for c in range(3):
             found[n, c] = light[c]
 
@@ -279,20 +305,22 @@ def march_fused(
     air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spent: float, looks: ShadowLooks
 ) -> Tensor:
     """In-scattered light `(ray, channel)`; see `render.shafts.march.march`."""
-    announce_compilation("fused_march", str(Path(__file__).parent / "__pycache__"))
+    announce_compilation("fused_march", _march.stats.cache_path)
     found = torch.zeros(len(rays), 3)
     lines = torch.cat([rays.origin, rays.direction], dim=1).float().contiguous().numpy()
     sun = _sun_arrays(air, lighting, rays)
     maps = (*_map_arrays(lighting), *_lamp_arrays(lighting))
-    grey = all(len(set(part.colour)) == 1 for part in air.constituents)
+    banks = bank_arrays(air.banks, lighting)
+    grey = all(len(set(part.colour)) == 1 for part in air.particles)
     channels, deepest = 1 if grey else 3, math.inf if spent <= 0.0 else -math.log(spent)
     borders, layers, out = edges.contiguous().numpy(), _layer_array(air), found.numpy()
 
     def work(first: int, last: int) -> None:
         numbers = tuple(np.zeros(channels) for _ in range(6))
-        space = (*numbers, np.zeros(3 * len(layers)), np.zeros((len(maps[2]), 2)))
+        space = (*numbers, np.zeros(3 * len(layers) + 3), np.zeros((len(maps[2]), 2)))
         _march(
-            lines, borders, layers, sun, maps, deepest, looks.count, looks.halvings, space, np.zeros(3), out, first, last
+            lines, borders, layers, sun, maps, banks, deepest, looks.count, looks.halvings, space, np.zeros(3), out,
+            first, last,
         )  # fmt: skip
 
     run_in_threads(work, len(out), CHUNK)
@@ -300,12 +328,17 @@ def march_fused(
 
 
 def _layer_array(air: Air) -> Doubles:
-    """One row a constituent: kind, extinction, base, top, reference, scale, colour (3), albedo, asymmetry or NaN."""
-    rows = np.zeros((len(air.constituents), 11))
-    for row, part in zip(rows, air.constituents, strict=True):
-        medium = part.medium
-        reference, scale = getattr(medium, "reference", 0.0), getattr(medium, "scale_height", 1.0)
-        row[:6] = (KINDS[type(medium)], getattr(medium, "extinction", 0.0), medium.base, medium.top, reference, scale)
+    """One row for all particles of a kind: kind, extinction, base, top, reference, scale, colour (3), albedo, asymmetry or NaN."""
+    rows = np.zeros((len(air.particles), 11))
+    for row, part in zip(rows, air.particles, strict=True):
+        if isinstance(part, Constituent):
+            medium = part.medium
+            reference, scale = getattr(medium, "reference", 0.0), getattr(medium, "scale_height", 1.0)
+            extinction = getattr(medium, "extinction", 0.0)
+            row[:6] = KINDS[type(medium)], extinction, medium.base, medium.top, reference, scale
+        elif isinstance(part, FogBank):
+            # Its layer is empty: no height lies above the base and below the top.
+            row[:4] = BANK, part.extinction, np.inf, -np.inf
         row[6:9], row[9] = part.colour, part.albedo
         row[10] = np.nan if part.phase == "rayleigh" else part.asymmetry
     return rows
@@ -315,10 +348,10 @@ def _sun_arrays(air: Air, lighting: Lighting, rays: ViewRays) -> tuple[Floats, D
     """Albedo times phase function `(ray, constituent)`, table of depths, its heights, and the irradiance: empty without a sun."""
     sun = lighting.sun
     if sun is None:
-        phase = np.zeros((len(rays), len(air.constituents) + 1), np.float32)
+        phase = np.zeros((len(rays), len(air.particles) + 1), np.float32)
         return phase, np.zeros((2, 3)), np.array([0.0, 1.0]), np.zeros(0)
     cosine = (rays.direction @ rays.direction.new_tensor(sun.light.direction)).clamp(-1.0, 1.0)
-    phases = [part.albedo * part.evaluate_phase(cosine) for part in air.constituents]
+    phases = [part.albedo * part.evaluate_phase(cosine) for part in air.particles]
     phase = torch.stack([*phases, torch.zeros_like(cosine)], dim=1).contiguous().numpy()
     heights = np.array([sun.depth.lowest, sun.depth.spacing])
     return phase, sun.depth.depths.numpy(), heights, np.array(sun.light.irradiance)

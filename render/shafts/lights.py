@@ -10,13 +10,22 @@ from torch import Tensor
 from render.camera import Vector
 from render.errors import ParameterError
 from render.media.sphere import EARTH_RADIUS
-from render.shafts.air import Air, Colour, check_colour
+from render.shafts.air import Air
+from render.shafts.fog_bank import Shades
+from render.shafts.particles import Colour, check_colour
 
 LOW_SUN = math.sin(math.radians(20.0))
 """Slope of the sun below which the ground counts as round; above it that changes less than 1e-3 of the light."""
 
 TABLE_HEIGHTS = 1 << 14
 """Heights of the table of depths to the sun; its error falls with their square."""
+
+
+SUN_RADIUS = math.radians(0.2666)
+"""Of the disc of the sun as seen from the earth [rad]."""
+
+MOST_SHADOW_POINTS = 256
+"""Each has a shadow map."""
 
 
 class Visibility(Protocol):
@@ -43,19 +52,26 @@ class Sun:
         direction: unit vector towards the sun [1].
         irradiance: above the air, on a plane that faces the sun, red, green and blue.
         round_ground: whether the light of a low sun comes over round ground; over flat ground that of a level sun never arrives.
+        angular_radius: of its disc [rad], 0 to less than pi / 4; a single point has none.
+        shadow_points: points of the disc that cast shadows, at least 1.
 
     Raises:
-        ParameterError: for a direction that is not of unit length, or light that is negative or not finite.
+        ParameterError: for a direction that is not of unit length, light that is negative or not finite, or a disc that is none.
     """
 
     direction: Vector
     irradiance: Colour = (1.0, 1.0, 1.0)
     round_ground: bool = True
+    angular_radius: float = SUN_RADIUS
+    shadow_points: int = 1
 
     def __post_init__(self) -> None:
         check_colour("irradiance of the sun", self.irradiance)
         if not abs(math.hypot(*self.direction) - 1.0) < 1e-6:
             raise ParameterError(f"expected a unit vector towards the sun, got {self.direction}")
+        if not 0.0 <= self.angular_radius < 0.25 * math.pi:
+            raise ParameterError(f"expected a radius of the sun from 0 to pi / 4, got {self.angular_radius} rad")
+        check_shadow_points(self.shadow_points)
 
     def compute_depth(self, air: Air, height: Tensor) -> Tensor:
         """Optical depth `(..., channel)` [1] from heights `(...)` [m] to the sun; infinite where the ground is in between."""
@@ -86,6 +102,7 @@ class PointLight:
         intensity: power per solid angle, red, green and blue.
         radius: of the sphere [m], positive.
         reach: distance beyond which there is no light [m]; infinite for none.
+        shadow_points: points of the sphere that cast shadows, at least 1; one is its centre.
 
     Raises:
         ParameterError: for a position that is not finite, light that is negative or not finite, or a size that is not positive.
@@ -95,8 +112,10 @@ class PointLight:
     intensity: Colour
     radius: float = 0.05
     reach: float = math.inf
+    shadow_points: int = 1
 
     def __post_init__(self) -> None:
+        check_shadow_points(self.shadow_points)
         check_colour("intensity of a point light", self.intensity)
         if not all(math.isfinite(part) for part in self.position):
             raise ParameterError(f"expected a finite position of a point light, got {self.position}")
@@ -108,6 +127,14 @@ class PointLight:
     def window(self, distance: Tensor) -> Tensor:
         """Share of the light [1] that is left of the inverse square at distances `(...)` [m]."""
         return (1.0 - (distance / self.reach) ** 4).clamp(min=0.0).square()
+
+
+def check_shadow_points(count: int) -> None:
+    """Raise ParameterError for a number of points of a light that cannot be."""
+    if not 1 <= count <= MOST_SHADOW_POINTS:
+        raise ParameterError(
+            f"expected from 1 to {MOST_SHADOW_POINTS} points that cast the shadow of a light, got {count}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,37 +184,52 @@ def build_sun_depth(air: Air, sun: Sun, lowest: float, highest: float, heights: 
 
 @dataclass(frozen=True, eq=False)
 class SunInScene:
-    """The sun with what the march asks about it."""
+    """The sun with what the march asks about it: depth of the layers, what casters and what banks of fog leave of it."""
 
     light: Sun
     depth: SunDepthTable
     visibility: Visibility
+    shades: Shades = ()
 
 
 @dataclass(frozen=True, eq=False)
 class PointInScene:
-    """A point light with the points that it reaches."""
+    """A point light with the points that it reaches, and what banks of fog leave of it."""
 
     light: PointLight
     visibility: Visibility
+    shades: Shades = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """All lights of a march."""
+    """All lights of a march.
+
+    Args:
+        sun: or the first point of its disc, or None.
+        points: point lights.
+        more_suns: further points of the disc.
+    """
 
     sun: SunInScene | None = None
     points: tuple[PointInScene, ...] = ()
+    more_suns: tuple[SunInScene, ...] = ()
+
+    @property
+    def suns(self) -> tuple[SunInScene, ...]:
+        """All points of the sun."""
+        return () if self.sun is None else (self.sun, *self.more_suns)
 
     def separate(self) -> "list[Lighting]":
         """Each light by itself, the sun first."""
-        suns = [] if self.sun is None else [Lighting(self.sun)]
-        return suns + [Lighting(points=(point,)) for point in self.points]
+        return [Lighting(sun) for sun in self.suns] + [Lighting(points=(point,)) for point in self.points]
 
     @property
     def names(self) -> str:
         """What shines, in words."""
         parts = ["the sun"] if self.sun is not None else []
+        if self.more_suns:
+            parts = [f"{len(self.suns)} points of the sun"]
         if self.points:
             parts.append("one lamp" if len(self.points) == 1 else f"{len(self.points)} lamps")
         return " and ".join(parts) or "no light"

@@ -5,14 +5,14 @@ A step of the ray from a to b, of optical depth dtau, adds
     sun:    V dtau_s p(cosine) irradiance  mean of exp(-(tau + A))
     light:  V dtau_s / (b - a) p(cosine) intensity w exp(-A) mean of exp(-tau)  integral of dt / (d(t)^2 + r^2)
 
-with tau the optical depth from the eye, A that to the light, dtau_s the part of dtau that is scattered, and V the share of the step that
-sees the light (`ShadowLooks`).
+with tau the optical depth from the eye, A that to the light through the layers of the air, dtau_s the part of dtau that is scattered, and V
+the share of the step that sees the light (`ShadowLooks`), times exp(-A) of the banks of fog between the middle of the step and the light.
 The means are those of exponents that run evenly through the step, and the last integral is an arc tangent. So
 a single medium without shadows under the sun comes out exactly, with any number of steps, and the inverse square of a near light costs
-no accuracy: the steps have to resolve shadows, not the air.
+no accuracy: the steps have to resolve shadows and banks of fog, not the layers of the air.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -22,6 +22,7 @@ from render.fused import fused_loops_wanted
 from render.media.special_functions import exponential_mean
 from render.shafts.air import Air
 from render.shafts.cube_shadow_map import CubeShadowMap
+from render.shafts.fog_bank import Shades, look_up_shade
 from render.shafts.lights import AlwaysLit, Lighting, PointInScene, SunInScene, Visibility
 from render.shafts.rays import ViewRays
 from render.shafts.shadow_map import ShadowMap
@@ -84,12 +85,23 @@ def march(
     Returns:
         Light and optical depth. The depth of a ray that was left early is that of its whole length.
     """
-    depth = air.compute_depth(rays.origin[:, 2], rays.direction[:, 2], rays.distance)
+    return MarchedLight(gather_light(air, lighting, rays, edges, spent, looks), air.compute_ray_depths(rays)[0])
+
+
+def gather_light(
+    air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, spent: float = 0.0, looks: ShadowLooks = ONE_LOOK
+) -> Tensor:
+    """The light of `march` alone `(ray, channel)`."""
+    if lighting.more_suns:
+        light = gather_light(air, replace(lighting, more_suns=()), rays, edges, spent, looks)
+        for sun in lighting.more_suns:
+            light += gather_light(air, Lighting(sun), rays, edges, spent, looks)
+        return light
     if fused_loops_wanted(edges, rays.origin) and edges.dtype == torch.float32 and _mapped(lighting):
         from render.shafts.fused_march import march_fused
 
-        return MarchedLight(march_fused(air, lighting, rays, edges, spent, looks), depth)
-    return MarchedLight(_march(air, lighting, rays, edges, looks), depth)
+        return march_fused(air, lighting, rays, edges, spent, looks)
+    return _march(air, lighting, rays, edges, looks)
 
 
 def _mapped(lighting: Lighting) -> bool:
@@ -101,30 +113,46 @@ def _mapped(lighting: Lighting) -> bool:
 def _march(air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, looks: ShadowLooks) -> Tensor:
     height = rays.origin[:, 2:] + rays.direction[:, 2:] * edges
     lengths = edges.diff(dim=1)
-    steps = [part.compute_depth(height[:, :-1], rays.direction[:, 2:], lengths) for part in air.constituents]
+    steps = _measure_steps(air, rays, edges, height, lengths)
     if not steps:
         return edges.new_zeros(len(rays), 3)
     depth = torch.nn.functional.pad(sum(steps[1:], steps[0]).cumsum(dim=1), (0, 0, 1, 0))
     light = edges.new_zeros(len(rays), 3)
     if lighting.sun is not None:
         lit = _lit_share(lighting.sun.visibility, rays, edges, looks)
-        light = light + _sunlight(air, lighting.sun, rays, height, steps, depth, lit)
+        left = lit[..., None] * _bank_transmittance(air, lighting.sun.shades, rays, edges)
+        light = light + _sunlight(air, lighting.sun, rays, height, steps, depth, left)
     for point in lighting.points:
         lit = _lamp_share(point, rays, edges, looks)
         light = light + _point_light(air, point, rays, edges, steps, depth, lit)
     return light
 
 
+def _measure_steps(air: Air, rays: ViewRays, edges: Tensor, height: Tensor, lengths: Tensor) -> list[Tensor]:
+    """Optical depth of each step `(ray, step, channel)` [1], for each of the air's particles."""
+    steps = [part.compute_depth(height[:, :-1], rays.direction[:, 2:], lengths) for part in air.constituents]
+    if air.banks:
+        middles = rays.points_at(0.5 * (edges[:, :-1] + edges[:, 1:]))
+        steps += [bank.compute_depth(middles, lengths) for bank in air.banks]
+    return steps
+
+
+def _bank_transmittance(air: Air, shades: Shades, rays: ViewRays, edges: Tensor) -> Tensor | float:
+    """What banks of fog leave of a light in the middles of the steps `(ray, step, channel)` [1]."""
+    if not air.banks:
+        return 1.0
+    return torch.exp(-look_up_shade(air.banks, shades, rays.points_at(0.5 * (edges[:, :-1] + edges[:, 1:]))))
+
+
 def _sunlight(
-    air: Air, sun: SunInScene, rays: ViewRays, height: Tensor, steps: list[Tensor], depth: Tensor, lit: Tensor
+    air: Air, sun: SunInScene, rays: ViewRays, height: Tensor, steps: list[Tensor], depth: Tensor, left: Tensor
 ) -> Tensor:
-    """Sunlight that the steps scatter into the rays `(ray, channel)`."""
+    """Sunlight that the steps scatter into the rays `(ray, channel)`, of which casters and banks leave a share."""
     exponent = depth + sun.depth.look_up(height)
-    arriving = exponential_mean(exponent[:, :-1], exponent[:, 1:])
-    arriving = arriving * lit[..., None]
+    arriving = exponential_mean(exponent[:, :-1], exponent[:, 1:]) * left
     cosine = (rays.direction @ rays.direction.new_tensor(sun.light.direction)).clamp(-1.0, 1.0)
     light = torch.zeros_like(depth[:, 0])
-    for part, step in zip(air.constituents, steps, strict=True):
+    for part, step in zip(air.particles, steps, strict=True):
         light = light + part.albedo * part.evaluate_phase(cosine)[:, None] * (step * arriving).sum(1)
     return light * light.new_tensor(sun.light.irradiance)
 
@@ -139,12 +167,14 @@ def _point_light(
     distance = torch.linalg.vector_norm(towards, dim=-1)
     unit = towards / torch.where(distance > 0.0, distance, 1.0)[..., None]
     between = air.compute_depth(middles[..., 2], unit[..., 2].clamp(-1.0, 1.0), distance)
+    if air.banks:
+        between = between + look_up_shade(air.banks, point.shades, middles)
     arriving = torch.exp(-between) * exponential_mean(depth[:, :-1], depth[:, 1:])
     spread = inverse_square_mean(rays, edges, light.position, light.radius) * light.window(distance)
     spread = spread * lit
     cosine = (unit * rays.direction[:, None]).sum(-1).clamp(-1.0, 1.0)
     total = torch.zeros_like(depth[:, 0])
-    for part, step in zip(air.constituents, steps, strict=True):
+    for part, step in zip(air.particles, steps, strict=True):
         weight = part.albedo * part.evaluate_phase(cosine) * spread
         total = total + (weight[..., None] * step * arriving).sum(1)
     return total * total.new_tensor(light.intensity)
@@ -256,10 +286,11 @@ def accumulate_sunlight(air: Air, sun: SunInScene, rays: ViewRays, edges: Tensor
     cosine = (rays.direction @ rays.direction.new_tensor(sun.light.direction)).clamp(-1.0, 1.0)
     depth = edges.new_zeros(*lengths.shape, 3)
     scattered = torch.zeros_like(depth)
-    for part in air.constituents:
-        step = part.compute_depth(height[:, :-1], rays.direction[:, 2:], lengths)
+    for part, step in zip(air.particles, _measure_steps(air, rays, edges, height, lengths), strict=True):
         depth = depth + step
         scattered = scattered + part.albedo * part.evaluate_phase(cosine)[:, None, None] * step
     exponent = torch.nn.functional.pad(depth.cumsum(dim=1), (0, 0, 1, 0)) + sun.depth.look_up(height)
-    light = scattered * exponential_mean(exponent[:, :-1], exponent[:, 1:]) * depth.new_tensor(sun.light.irradiance)
+    arriving = exponential_mean(exponent[:, :-1], exponent[:, 1:])
+    arriving = arriving * _bank_transmittance(air, sun.shades, rays, edges)
+    light = scattered * arriving * depth.new_tensor(sun.light.irradiance)
     return torch.nn.functional.pad(light.cumsum(dim=1), (0, 0, 1, 0))

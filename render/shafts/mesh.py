@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from render.errors import MissingExtraError, SceneError
-from render.shafts.air import Colour, check_colour
+from render.shafts.particles import Colour, check_colour
 
 GREY: Colour = (0.35, 0.33, 0.30)
 """Albedo of a surface of which nothing is known [1]."""

@@ -59,7 +59,7 @@ def trace_orders(stage: Stage, orders: int, samples: int, seed: int = 0) -> Scat
     """Trace paths from every pixel.
 
     Args:
-        stage: a scene under the sun with one constituent of white colour; lamps and ambient light are left out.
+        stage: a scene under a sun of one point with one constituent of white colour; lamps and ambient light are left out.
         orders: largest number of scatterings, at least 1.
         samples: paths of each pixel, at least 2.
         seed: of the random numbers.
@@ -71,8 +71,9 @@ def trace_orders(stage: Stage, orders: int, samples: int, seed: int = 0) -> Scat
         ParameterError: for another air, no sun, or fewer orders or samples.
     """
     parts, sun = stage.scene.air.constituents, stage.lighting.sun
-    if len(parts) != 1 or parts[0].colour != (1.0, 1.0, 1.0) or sun is None:
-        raise ParameterError("paths of several scatterings need a sun, and air of one white constituent")
+    level = len(parts) == 1 and parts[0].colour == (1.0, 1.0, 1.0) and not stage.scene.air.banks
+    if not level or sun is None or stage.lighting.more_suns:
+        raise ParameterError("paths of several scatterings need a sun of one point, and air of one white constituent")
     if orders < 1 or samples < 2:
         raise ParameterError(f"expected at least one order and two samples, got {orders} and {samples}")
     pixels = len(stage.rays)

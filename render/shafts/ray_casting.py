@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from render.shafts.air import Colour
 from render.shafts.mesh import Mesh, check_extra_installed
+from render.shafts.particles import Colour
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field, replace
 
 from render.camera import OrthographicCamera, PinholeCamera
 from render.errors import SceneError
-from render.shafts.air import Air, Colour, check_colour
+from render.shafts.air import Air
 from render.shafts.lights import PointLight, Sun
 from render.shafts.mesh import Mesh
+from render.shafts.particles import Colour, check_colour
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class ShaftScene:
     Args:
         camera: the view.
         meshes: surfaces, which also cast shadows; none is an empty scene.
-        air: what scatters the light.
+        air: what scatters the light: layers, and banks of fog.
         sun: or None.
         lights: point lights.
         ambient: radiance of light that comes alike from everywhere and reaches every point undimmed; it stands for the sky
@@ -44,6 +45,10 @@ class ShaftScene:
             check_colour("radiance of the sky", self.sky)
         if not 0.0 < self.reach < math.inf:
             raise SceneError(f"expected a positive and finite reach of the rays, got {self.reach} m")
+
+    def at_time(self, time: float) -> "ShaftScene":
+        """The same scene with its banks of fog at another time [s]."""
+        return replace(self, air=self.air.at_time(time))
 
     def resized(self, width: int, height: int) -> "ShaftScene":
         """The same scene with other pixel counts."""

@@ -3,6 +3,7 @@
 import math
 import tomllib
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -10,7 +11,7 @@ from render.camera import PinholeCamera, direction_from_angles
 from render.errors import CameraError, ParameterError, SceneError
 from render.gradient_sky import sunlight_through_air
 from render.media import ExponentialDecay, LayeredMedium, LinearDecay, Uniform, extinction_from_visibility
-from render.shafts.air import Air, Colour, Constituent
+from render.shafts.air import Air, Constituent
 from render.shafts.casters import (
     GRASS,
     ROCK,
@@ -22,11 +23,14 @@ from render.shafts.casters import (
     make_sphere,
     make_window,
 )
-from render.shafts.lights import PointLight, Sun
+from render.shafts.fog_bank import FogBank
+from render.shafts.lights import SUN_RADIUS, PointLight, Sun
 from render.shafts.mesh import GREY, Mesh, place_mesh, read_obj
+from render.shafts.participating_media import SpheroidMedium
+from render.shafts.particles import Colour
 from render.shafts.scene import ShaftScene
 from render.shafts.strict_table import StrictTable
-from render.units import radians_from_degrees
+from render.units import degrees_from_radians, radians_from_degrees
 
 PRESET_FOLDER = Path(__file__).parent / "presets"
 
@@ -96,10 +100,14 @@ def make_sun(azimuth: float, elevation: float, intensity: float = 1.0, colour: C
 
 def _read_scene(root: StrictTable, folder: Path) -> ShaftScene:
     meshes = [mesh for kind, read in _THINGS.items() for table in root.tables(kind) for mesh in [read(table, folder)]]
+    time = root.number("time_s", 0.0)
     scene = ShaftScene(
         camera=_read_camera(root.table("camera")),
         meshes=tuple(meshes),
-        air=Air(tuple(_read_constituent(table) for table in root.tables("air"))),
+        air=Air(
+            tuple(_read_constituent(table) for table in root.tables("air")),
+            tuple(_read_bank(table, time) for table in root.tables("bank")),
+        ),
         sun=_read_sun(root.table("sun")) if root.has("sun") else None,
         lights=tuple(_read_light(table) for table in root.tables("light")),
         ambient=root.triple("ambient", (0.0, 0.0, 0.0)),
@@ -129,6 +137,8 @@ def _read_sun(table: StrictTable) -> Sun:
         table.number("intensity", 1.0),
         table.triple("colour") if table.has("colour") else None,
     )
+    radius = radians_from_degrees(table.number("radius_deg", degrees_from_radians(SUN_RADIUS)))
+    sun = replace(sun, angular_radius=radius, shadow_points=table.whole("shadow_points", 1))
     table.finish()
     return sun
 
@@ -139,6 +149,7 @@ def _read_light(table: StrictTable) -> PointLight:
         intensity=table.triple("intensity"),
         radius=table.number("radius_m", 0.05),
         reach=table.number("reach_m", math.inf),
+        shadow_points=table.whole("shadow_points", 1),
     )
     table.finish()
     return light
@@ -148,14 +159,8 @@ def _read_constituent(table: StrictTable) -> Constituent:
     profile = table.word("profile", "uniform")
     if profile not in _PROFILES:
         raise SceneError(f"{table.place}: no profile is called {profile!r}; there are {', '.join(_PROFILES)}")
-    if table.has("visibility_m") == table.has("extinction_per_m"):
-        raise SceneError(f"{table.place}: give either visibility_m or extinction_per_m")
-    if table.has("visibility_m"):
-        extinction = extinction_from_visibility(table.number("visibility_m"))
-    else:
-        extinction = table.number("extinction_per_m")
     part = Constituent(
-        medium=_PROFILES[profile](extinction, table),
+        medium=_PROFILES[profile](_read_extinction(table), table),
         colour=table.triple("colour", (1.0, 1.0, 1.0)),
         albedo=table.number("albedo", 1.0),
         phase=table.word("phase", "henyey_greenstein"),
@@ -163,6 +168,48 @@ def _read_constituent(table: StrictTable) -> Constituent:
     )
     table.finish()
     return part
+
+
+def _read_extinction(table: StrictTable) -> float:
+    if table.has("visibility_m") == table.has("extinction_per_m"):
+        raise SceneError(f"{table.place}: give either visibility_m or extinction_per_m")
+    if table.has("visibility_m"):
+        return extinction_from_visibility(table.number("visibility_m"))
+    return table.number("extinction_per_m")
+
+
+def _read_bank(table: StrictTable, time: float) -> FogBank:
+    """Spheroids around a middle; the extinction is that of their densest places."""
+    medium = SpheroidMedium(
+        middle=table.triple("middle_m"),
+        spread=table.triple("spread_m"),
+        count=table.whole("count"),
+        radius=table.number("radius_m"),
+        radius_variation=table.number("radius_variation", 0.3),
+        flattening=table.number("flattening", 0.6),
+        noise_amplitude=table.number("noise_amplitude", 0.4),
+        noise_wavelength=table.number("noise_wavelength_m", table.number("radius_m")),
+        scale_height=table.number("scale_height_m", math.inf),
+        base=table.number("base_m", -math.inf),
+        extent=table.number("extent_m", math.inf),
+        wind=table.triple("wind_m_per_s", (0.0, 0.0, 0.0)),
+        change_time=table.number("change_time_s", math.inf),
+        seed=table.whole("seed", 0),
+    )
+    bank = FogBank(
+        medium,
+        extinction=_read_extinction(table),
+        colour=table.triple("colour", (1.0, 1.0, 1.0)),
+        albedo=table.number("albedo", 1.0),
+        phase=table.word("phase", "henyey_greenstein"),
+        asymmetry=table.number("asymmetry", 0.0),
+        strength=table.number("strength", 1.0),
+        time=time,
+        resolution=table.whole("resolution", 64),
+        shadow=table.truth("shadow", True),
+    )
+    table.finish()
+    return bank
 
 
 _PROFILES: Mapping[str, Callable[[float, StrictTable], LayeredMedium]] = MappingProxyType(

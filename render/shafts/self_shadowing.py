@@ -115,6 +115,26 @@ def compute_light_length(grid: DensityGrid, points: Tensor, light: Light, step: 
     """
     precision, points = points.dtype, points.to(torch.float32)
     direction, distance = light.way_from(points)
+    return compute_length_along(grid, points, direction, distance, step).to(precision)
+
+
+def compute_length_along(
+    grid: DensityGrid, points: Tensor, direction: Tensor, distance: Tensor, step: float = STEP
+) -> Tensor:
+    """Optical length of stretches of rays.
+
+    Args:
+        grid: the medium.
+        points: where they begin `(point, 3)` [m].
+        direction: unit vectors `(point, 3)`.
+        distance: their lengths `(point,)` [m]; may be infinite.
+        step: longest step, in the shortest edge of a voxel.
+
+    Returns:
+        Optical lengths `(point,)` [m]; trapezoids, summed in float64.
+    """
+    precision = points.dtype
+    points, direction, distance = (part.to(torch.float32) for part in (points, direction, distance))
     near, far = grid.intersect(points, direction)
     length = (torch.minimum(far, distance) - near).clamp(min=0.0)
     longest = float(length.max()) if len(points) else 0.0
@@ -123,7 +143,7 @@ def compute_light_length(grid: DensityGrid, points: Tensor, light: Light, step: 
     weight = torch.ones(steps + 1, dtype=torch.float64, device=points.device)
     weight[0] = weight[-1] = 0.5
     result = torch.zeros_like(length)
-    for part in torch.arange(len(points), device=points.device).split(max(1, SAMPLES_IN_FLIGHT // (steps + 1))):
+    for part in torch.nonzero(length > 0.0)[:, 0].split(max(1, SAMPLES_IN_FLIGHT // (steps + 1))):
         way = near[part, None] + length[part, None] * fraction
         start, rate = grid.voxel_coordinates(points[part]), direction[part] / grid.voxel_size
         x, y, z = (start[:, None, axis] + way * rate[:, None, axis] for axis in range(3))

@@ -12,6 +12,7 @@ from torch import Tensor
 from render.errors import ParameterError
 from render.gradient_sky import look_up_gradient_sky
 from render.shafts.cube_shadow_map import build_cube_shadow_map
+from render.shafts.fog_bank import build_shades, look_up_shade
 from render.shafts.lights import (
     AlwaysLit,
     Lighting,
@@ -25,7 +26,9 @@ from render.shafts.lights import (
 from render.shafts.ray_casting import Hits, PointRays, RayCaster, SunRays
 from render.shafts.rays import ViewRays
 from render.shafts.scene import ShaftScene
+from render.shafts.self_shadowing import DistantLight, NearLight
 from render.shafts.shadow_map import build_shadow_map
+from render.shafts.soft_lights import split_lamp, split_sun
 
 LIFT = 1e-4
 """Share of a ray's length by which a shadow ray begins before the surface; float32 does not place the surface better."""
@@ -137,12 +140,20 @@ def _light_scene(scene: ShaftScene, caster: RayCaster, rays: ViewRays, maps: Map
     ends = rays.origin[:, 2] + rays.direction[:, 2] * rays.distance
     lowest = float(torch.minimum(ends, rays.origin[:, 2]).min())
     highest = float(torch.maximum(ends, rays.origin[:, 2]).max())
-    sun = None
+    suns = []
     if scene.sun is not None and any(scene.sun.irradiance):
-        table = build_sun_depth(scene.air, scene.sun, lowest, highest)
-        sun = SunInScene(scene.sun, table, _sun_visibility(scene.sun, caster, rays, maps))
-    shining = [light for light in scene.lights if any(light.intensity)]
-    return Lighting(sun, tuple(PointInScene(light, _lamp_visibility(light, caster, maps)) for light in shining))
+        for sun in split_sun(scene.sun):
+            table = build_sun_depth(scene.air, sun, lowest, highest)
+            shades = build_shades(scene.air.banks, DistantLight(sun.direction))
+            suns.append(SunInScene(sun, table, _sun_visibility(sun, caster, rays, maps), shades))
+    shining = [point for light in scene.lights if any(light.intensity) for point in split_lamp(light)]
+    points = tuple(_place_lamp(scene, light, caster, maps) for light in shining)
+    return Lighting(suns[0] if suns else None, points, tuple(suns[1:]))
+
+
+def _place_lamp(scene: ShaftScene, light: PointLight, caster: RayCaster, maps: MapSettings) -> PointInScene:
+    shades = build_shades(scene.air.banks, NearLight(light.position))
+    return PointInScene(light, _lamp_visibility(light, caster, maps), shades)
 
 
 def _sun_visibility(sun: Sun, caster: RayCaster, rays: ViewRays, maps: MapSettings) -> Visibility:
@@ -171,10 +182,10 @@ def _shade(scene: ShaftScene, caster: RayCaster, rays: ViewRays, hits: Hits, lig
     part, normal = rays[seen], hits.normal[seen]
     points = part.origin + ((1.0 - LIFT) * part.distance)[:, None] * part.direction
     incoming = math.pi * normal.new_tensor(scene.ambient) * (0.5 + 0.5 * normal[:, 2:])
-    if lighting.sun is not None:
-        incoming = incoming + _sun_on_surfaces(scene, caster, lighting.sun.light, points, normal)
+    for sun in lighting.suns:
+        incoming = incoming + _sun_on_surfaces(scene, caster, sun, points, normal)
     for point in lighting.points:
-        incoming = incoming + _lamp_on_surfaces(scene, caster, point.light, points, normal)
+        incoming = incoming + _lamp_on_surfaces(scene, caster, point, points, normal)
     radiance[seen] = hits.albedo[seen] / math.pi * incoming
     return radiance
 
@@ -188,22 +199,28 @@ def _sky(scene: ShaftScene, direction: Tensor) -> Tensor:
     return look_up_gradient_sky(direction, direction.new_tensor(scene.sun.direction), white)
 
 
-def _sun_on_surfaces(scene: ShaftScene, caster: RayCaster, sun: Sun, points: Tensor, normal: Tensor) -> Tensor:
+def _sun_on_surfaces(
+    scene: ShaftScene, caster: RayCaster, shining: SunInScene, points: Tensor, normal: Tensor
+) -> Tensor:
     """Irradiance of surfaces by the sun `(point, channel)`."""
+    sun = shining.light
     facing = (normal @ normal.new_tensor(sun.direction)).clamp(min=0.0)
     lit = SunRays(caster, sun.direction).look_up_lit(points)
-    arriving = torch.exp(-sun.compute_depth(scene.air, points[:, 2]))
+    between = sun.compute_depth(scene.air, points[:, 2]) + look_up_shade(scene.air.banks, shining.shades, points)
+    arriving = torch.exp(-between)
     return torch.where(lit, facing, 0.0)[:, None] * arriving * normal.new_tensor(sun.irradiance)
 
 
 def _lamp_on_surfaces(
-    scene: ShaftScene, caster: RayCaster, light: PointLight, points: Tensor, normal: Tensor
+    scene: ShaftScene, caster: RayCaster, point: PointInScene, points: Tensor, normal: Tensor
 ) -> Tensor:
     """Irradiance of surfaces by a point light `(point, channel)`."""
+    light = point.light
     towards = normal.new_tensor(light.position) - points
     distance = torch.linalg.vector_norm(towards, dim=-1)
     unit = towards / torch.where(distance > 0.0, distance, 1.0)[:, None]
     facing = (normal * unit).sum(-1).clamp(min=0.0) * light.window(distance) / (distance.square() + light.radius**2)
     lit = PointRays(caster, light.position).look_up_lit(points)
-    arriving = torch.exp(-scene.air.compute_depth(points[:, 2], unit[:, 2].clamp(-1.0, 1.0), distance))
+    layers = scene.air.compute_depth(points[:, 2], unit[:, 2].clamp(-1.0, 1.0), distance)
+    arriving = torch.exp(-(layers + look_up_shade(scene.air.banks, point.shades, points)))
     return torch.where(lit, facing, 0.0)[:, None] * arriving * normal.new_tensor(light.intensity)

@@ -2,8 +2,8 @@
 
 A point lies in a half-plane that begins at the line from the eye to the light, told by its angle alpha around that line; within it on
 one ray from the eye, told by its angle theta from that line, and on one ray from the light, told by its place phi. Along a ray from the
-light theta grows. So of the voxels (alpha, theta, phi) with one alpha and one phi, all from that of the first occluder on are dark: a scan over
-one row of bits in the paper, and here one number, that of the first dark voxel.
+light theta grows. So of the voxels (alpha, theta, phi) with one alpha and one phi, all from that of the first occluder on are dark: a
+scan over one row of bits in the paper, and here one number, that of the first dark voxel.
 
 For a lamp phi is the angle at the lamp, for the sun the distance from the line through the eye. Imperfect are the shadows' borders, which
 lie on those of voxels. The paper fills the grid from shadow maps and sums over samples of an area light; here one ray is cast for each

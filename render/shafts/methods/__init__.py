@@ -12,6 +12,7 @@ from render.shafts.methods.biri2006 import Biri2006
 from render.shafts.methods.brute_force import BruteForce
 from render.shafts.methods.chen2011 import Chen2011
 from render.shafts.methods.engelhardt2010 import Engelhardt2010
+from render.shafts.methods.froxels import Froxels
 from render.shafts.methods.wyman2013 import Wyman2013
 
 METHODS: Mapping[str, Method] = MappingProxyType(
@@ -25,6 +26,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "biri2006": Biri2006(),
         "wyman2013": Wyman2013(),
         "adaptive": Adaptive(),
+        "tan2020_froxels": Froxels(),
     }
 )
 """Every method with its usual settings."""
@@ -50,6 +52,7 @@ __all__ = [
     "BruteForce",
     "Chen2011",
     "Engelhardt2010",
+    "Froxels",
     "Gathered",
     "Method",
     "Wyman2013",

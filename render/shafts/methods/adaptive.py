@@ -14,8 +14,10 @@ import torch
 from torch import Tensor
 
 from render.errors import ParameterError
+from render.shafts.air import Air
 from render.shafts.bilateral import ReducedFrame, fill_frame
 from render.shafts.epipolar_sampling import EpipolarSettings
+from render.shafts.fog_bank import insert_bank_edges
 from render.shafts.lights import Lighting
 from render.shafts.march import ShadowLooks
 from render.shafts.methods.base import Gathered, Method, check_steps
@@ -28,6 +30,9 @@ from render.shafts.step_schedule import StepSchedule
 
 SMALLEST_LINES, SMALLEST_SAMPLES = 200, 40
 """Epipolar lines along the height of an image, and marched samples along a line of that length, below which no image goes."""
+
+BANK_STRIDE = 3
+"""So many samples of a line one is marched where there are banks of fog: they vary along the lines as well as across."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,7 @@ class Adaptive:
             pixels between them are marched; infinite for never.
         spent: transmittance [1] at which a ray is left; 0 for never.
         short_near_lamps: let half of the steps of a lamp subtend equal angles at it.
+        bank_steps: further steps within each bank of fog, over `steps`; 0 for none.
 
     Raises:
         ParameterError: for numbers outside these bounds.
@@ -61,25 +67,28 @@ class Adaptive:
     contrast: float = 0.4
     spent: float = 1e-3
     short_near_lamps: bool = True
+    bank_steps: float = 2.0
 
     def __post_init__(self) -> None:
         for count in (self.steps, self.factor):
             check_steps(count)
         if not (0.0 <= self.near_share < 1.0 and 0.0 < self.near_part <= 1.0 and 0.0 <= self.spent < 1.0):
             raise ParameterError(f"expected shares within 0..1, got {self}")
+        if not 0.0 <= self.bank_steps <= 1e3:
+            raise ParameterError(f"expected from 0 to 1000 steps within a bank for each step, got {self.bank_steps}")
         if not (self.contrast > 0.0 and self.depth_tolerance > 0.0):
             raise ParameterError(f"expected a positive contrast and depth tolerance, got {self}")
 
     def gather(self, stage: Stage) -> Gathered:
         """In-scattered light of every pixel."""
-        clock = Clock()
+        clock, air, in_bank = Clock(), stage.scene.air, self._steps_in_bank
         schedule = self.schedule(float(stage.rays.distance.max()))
 
         def marcher(lighting: Lighting, rays: ViewRays, _: Tensor | None) -> Tensor:
             light = torch.zeros_like(rays.origin)
             for alone in lighting.separate():
-                rule = self._edge_rule(alone, schedule)
-                light += march_rays(stage.scene.air, alone, rays, rule, schedule.steps, self.spent, self.looks)
+                rule, steps = self._edge_rule(air, alone, schedule), schedule.steps + len(air.banks) * (in_bank + 1)
+                light += march_rays(air, alone, rays, rule, steps, self.spent, self.looks)
             return light
 
         said = [
@@ -88,7 +97,9 @@ class Adaptive:
         light, blocks = torch.zeros_like(stage.background), stage.lighting
         if self.lines is not None and blocks.sun is not None:
             lines = _limit_lines(self.lines, stage.scene.camera.height)
-            light = gather_along_lines(stage, Lighting(blocks.sun), lines, marcher, clock)
+            if air.banks:
+                lines = replace(lines, stride=min(lines.stride, BANK_STRIDE))
+            light = gather_along_lines(stage, replace(blocks, points=()), lines, marcher, clock)
             blocks = Lighting(points=blocks.points)
             said.append(f"the sun: {describe(lines)}")
         if blocks.sun is not None or blocks.points:
@@ -103,8 +114,17 @@ class Adaptive:
             return StepSchedule.uniform(self.steps)
         return StepSchedule.from_ratio(self.steps, self.near_share, 1.0 - self.near_share, self.near_part * longest)
 
-    def _edge_rule(self, alone: Lighting, schedule: StepSchedule) -> EdgeRule:
-        """Where the steps lie for one light: by the schedule for the sun, and shorter near a lamp."""
+    @property
+    def _steps_in_bank(self) -> int:
+        return round(self.bank_steps * self.steps)
+
+    def _edge_rule(self, air: Air, alone: Lighting, schedule: StepSchedule) -> EdgeRule:
+        """Where the steps lie for one light: as in clear air, and more of them within banks of fog."""
+        rule, steps = self._clear_rule(alone, schedule), self._steps_in_bank
+        return lambda rays: insert_bank_edges(rays, rule(rays), air.banks, steps)
+
+    def _clear_rule(self, alone: Lighting, schedule: StepSchedule) -> EdgeRule:
+        """By the schedule for the sun, and shorter near a lamp."""
         if alone.sun is not None or not self.short_near_lamps or self.steps < 2:
             return lambda rays: schedule.tile(torch.zeros_like(rays.distance), rays.distance).edges
         lamp = alone.points[0].light
@@ -157,7 +177,18 @@ class Adaptive:
 
     def at_full_density(self, steps: int) -> Method:
         """Equal steps along every ray, one look in each, to its end."""
-        return Adaptive(steps, ShadowLooks(), 0.0, 1.0, 1, None, contrast=math.inf, spent=0.0, short_near_lamps=False)
+        return Adaptive(
+            steps,
+            ShadowLooks(),
+            0.0,
+            1.0,
+            1,
+            None,
+            contrast=math.inf,
+            spent=0.0,
+            short_near_lamps=False,
+            bank_steps=0.0,
+        )
 
 
 def _limit_lines(lines: EpipolarSettings, height: int) -> EpipolarSettings:

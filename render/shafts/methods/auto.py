@@ -33,10 +33,14 @@ class Auto:
         skipped = ["the sun: there is none"] if stage.lighting.sun is None else []
         if not stage.lighting.points:
             skipped.append("lamps: there are none")
+        if len(stage.lighting.points) > 1:
+            skipped.append(
+                "froxels: the glow of a lamp is narrower than their cells, so marching it errs less at equal cost"
+            )
         method: Method = self.adaptive
         if stage.caster.empty:
             skipped.append("shadows: nothing casts any, so the light is smooth and few steps suffice")
-            sun_only = not stage.lighting.points and len(stage.scene.air.constituents) == 1
+            sun_only = not stage.lighting.points and len(stage.scene.air.particles) == 1 and not stage.scene.air.banks
             steps = 1 if sun_only else self.smooth_steps
             if sun_only:
                 skipped.append("the march: one medium under the sun has a closed form")

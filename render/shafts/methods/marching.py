@@ -7,7 +7,7 @@ from torch import Tensor
 
 from render.shafts.air import Air
 from render.shafts.lights import Lighting
-from render.shafts.march import ONE_LOOK, ShadowLooks, march
+from render.shafts.march import ONE_LOOK, ShadowLooks, gather_light
 from render.shafts.rays import ViewRays
 
 SAMPLES_AT_ONCE = 1 << 18
@@ -44,5 +44,5 @@ def march_rays(
     parts = []
     for first in range(0, len(rays), chunk):
         part = rays[first : first + chunk]
-        parts.append(march(air, lighting, part, rule(part), spent, looks).in_scattering)
+        parts.append(gather_light(air, lighting, part, rule(part), spent, looks))
     return torch.cat(parts) if parts else rays.origin.new_zeros(0, 3)

@@ -61,7 +61,8 @@ def images(paths: int, smooth: bool) -> tuple[list[list[SmoothSource]], torch.Te
     single = compute_single_scattering(GRID, view.origin, view.direction, view.sun, EXTINCTION, 0.5, 16)
     numbers, albedo = torch.arange(lattice.size), torch.tensor(ALBEDOS)
     entry, knots = torch.arange(lattice.size, dtype=torch.int32), torch.tensor(PLAN.knots)
-    probe = ErrorProbe(view, lattice, entry, strata, single, ASYMMETRY, PLAN, albedo, tail=True)
+    once = (single, torch.zeros_like(single))
+    probe = ErrorProbe(view, lattice, entry, strata, once, ASYMMETRY, PLAN, albedo, tail=True)
     phase = evaluate_phase_function(view.direction @ view.sun, ASYMMETRY[:, None])
     lit = albedo[:, None, None] * phase * single[:, None, None]
     model = SourceModel(torch.ones(len(numbers), 1), torch.ones(len(numbers)))
@@ -130,3 +131,24 @@ def test_errors_of_single_images_have_their_shape() -> None:
     assert one.of_image.shape == (len(ALBEDOS), 3)
     assert (one.of_knots > 0.0).all()
     assert (one.of_image < one.of_knots.amax(0)).all()
+
+
+def test_the_error_of_single_scattering_is_added_in_quadrature() -> None:
+    view = view_of(GRID, CAMERA, SUN)
+    lattice = lattice_over(GRID, 4.0)
+    strata = stratify_rays(GRID, view.origin, view.direction, EXTINCTION, 8)
+    single = compute_single_scattering(GRID, view.origin, view.direction, view.sun, EXTINCTION, 0.5, 16)
+    entry = torch.arange(lattice.size, dtype=torch.int32)
+    without, alone = (
+        ErrorProbe(view, lattice, entry, strata, (single, share * single), ASYMMETRY, PLAN, torch.tensor([0.9]))
+        for share in (0.0, 0.03)
+    )
+    raw = torch.rand(len(view.pixel), 2, len(PLAN.knots), len(ASYMMETRY)) * 0.01
+    nothing = torch.zeros_like(raw)
+    for node in range(len(EXTINCTION)):
+        torch.testing.assert_close(
+            alone.composed(node, nothing, nothing), torch.full((1, len(ASYMMETRY)), 0.03).double()
+        )
+        both, of_multiple = alone.composed(node, raw, raw), without.composed(node, raw, raw)
+        assert bool((both > of_multiple).all())
+        assert bool((both.square() < of_multiple.square() + 0.03**2).all())

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from precompute.free_flight import march_to_sun
-from precompute.single_scattering import compute_single_scattering
+from precompute.single_scattering import compute_single_scattering, estimate_single_scattering
 from render.density_grid import DensityGrid
 from render.ray_march import march_rays
 from tests.support.quadrature import box_single
@@ -104,3 +104,15 @@ def test_rays_that_miss_and_empty_volumes_are_black() -> None:
         compute_single_scattering(noise_box(), origin + 99.0, direction, sun, extinction, 0.5), torch.zeros(2, 5)
     )
     assert compute_single_scattering(noise_box(), origin[:0], direction[:0], sun, extinction, 0.5).shape == (2, 0)
+
+
+@pytest.mark.parametrize("sections", [8, 16, 31])
+def test_the_stated_error_is_that_of_the_sections(sections: int) -> None:
+    grid, sun = noise_box(sparse=0.6), towards(20, 25)
+    origin, direction = random_rays(grid, 400)
+    extinction = torch.tensor([2.0, 8.0]) / float(grid.maximum)
+    found, stated = estimate_single_scattering(grid, origin, direction, sun, extinction, 0.05, sections)
+    truth = compute_single_scattering(grid, origin, direction, sun, extinction, 0.05, 1000)
+    real, estimated = ((found - truth).square().mean(1).sqrt(), stated.square().mean(1).sqrt())
+    assert bool((real > 1e-4).all())
+    assert bool((estimated / real > 0.5).all() & (estimated / real < 2.0).all())

@@ -8,15 +8,8 @@ import pytest
 import torch
 
 from precompute.error_budget import ALBEDOS, OMITTED_SHARE, Effort, StopReason, box_error
-from precompute.source_group import (
-    LARGEST_STEP,
-    SMALLEST_STEP,
-    THICK_SPACING,
-    THINNEST_ANCHOR,
-    GroupImages,
-    GroupTask,
-    build_group,
-)
+from precompute.group_task import LARGEST_STEP, SMALLEST_STEP, THINNEST_ANCHOR, GroupTask
+from precompute.source_group import THICK_SPACING, GroupImages, build_group
 from precompute.view import View, view_of
 from render.density_grid import DensityGrid
 from render.fused import torch_loops_only

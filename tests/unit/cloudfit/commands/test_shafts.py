@@ -55,6 +55,22 @@ def test_times_of_day_stand_side_by_side(tmp_path: Path) -> None:
     assert not torch.equal(pixels[:, :32], pixels[:, 32:])
 
 
+def test_fog_drifts_from_file_to_file(tmp_path: Path) -> None:
+    seconds = ["--sheet-seconds", "0,15", *SMALL]
+    files = run("lamps_in_fog", "--out", tmp_path / "fog_{}.exr", "--out", tmp_path / "both.png", *seconds).split()
+    assert files == [str(tmp_path / name) for name in ("fog_000.exr", "fog_001.exr", "both.png")]
+    first, later = (read_exr_layers(Path(name))["transmittance"] for name in files[:2])
+    assert float((first - later).abs().max()) > 0.05
+    assert read_image(tmp_path / "both.png").pixels.shape == (18, 64, 3)
+    run("lamps_in_fog", "--fog-strength", "0", "--out", tmp_path / "clear.exr", *SMALL)
+    assert float(read_exr_layers(tmp_path / "clear.exr")["transmittance"].mean()) > float(first.mean())
+
+
+def test_fog_that_is_not_there_cannot_drift(tmp_path: Path) -> None:
+    assert "no bank of fog" in run("window", "--sheet-seconds", "0,1", "--out", tmp_path / "a.png", code=3)
+    assert "expected seconds" in run("fogbank", "--sheet-seconds", "now", "--out", tmp_path / "a.png", code=3)
+
+
 def test_off_and_on_stand_side_by_side(tmp_path: Path) -> None:
     run("window", "--off-on", "--out", tmp_path / "two.exr", *SMALL)
     run("window", "--out", tmp_path / "one.exr", *SMALL)

@@ -10,7 +10,7 @@ from render.shafts.casters import make_box, make_ground, make_height_field
 from render.shafts.frame import Frame, compose_frame, render_frame
 from render.shafts.lights import PointLight
 from render.shafts.mesh import make_mesh
-from render.shafts.methods import METHODS, BruteForce
+from render.shafts.methods import METHODS, BruteForce, Froxels
 from render.shafts.scene import ShaftScene
 from render.shafts.stage import MapSettings
 from tests.support.shaft_scenes import FOG, SMALL_MAPS, small_scene, small_stage
@@ -102,7 +102,16 @@ def test_a_light_inside_a_mesh_lights_nothing_outside(name: str) -> None:
         ),
         METHODS[name],
     )
-    assert float(frame.in_scattering.mean()) < 1e-3 * float(outside.in_scattering.mean())
+    # The cell of a froxel column that holds a surface lies on both of its sides; finer cells let less through.
+    leak = 0.1 if name == "tan2020_froxels" else 1e-3
+    assert float(frame.in_scattering.mean()) < leak * float(outside.in_scattering.mean())
+
+
+def test_what_leaks_through_surfaces_in_froxels_shrinks_with_the_cells() -> None:
+    lamp = PointLight((2.0, 0.0, 9.0), (500.0, 500.0, 500.0))
+    stage = small_stage(replace(small_scene(), sun=None, lights=(lamp,)))
+    leaks = [float(Froxels(n, 1, 1.0).gather(stage).in_scattering.mean()) for n in (32, 128, 512)]
+    assert 0.0 < leaks[2] < 0.5 * leaks[1] < 0.25 * leaks[0]
 
 
 def test_a_camera_inside_a_box_of_fog_sees_no_sun() -> None:

@@ -107,6 +107,7 @@ def test_other_scenes_are_refused() -> None:
         small_scene(4, 4),
         small_scene(4, 4, air=Air((replace(FOG, colour=(1.0, 0.5, 0.5)),))),
         replace(small_scene(4, 4, air=Air((FOG,))), sun=None),
+        replace(small_scene(4, 4, air=Air((FOG,))), sun=Sun((0.0, 0.0, 1.0), shadow_points=3)),
     ):
         with pytest.raises(ParameterError, match="one white constituent"):
             trace_orders(small_stage(scene), 1, 4)

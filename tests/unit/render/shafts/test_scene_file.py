@@ -5,12 +5,22 @@ import pytest
 
 from render.errors import SceneError
 from render.media import ExponentialDecay
+from render.shafts.scene import ShaftScene
 from render.shafts.scene_file import PRESETS, load_scene, make_sun, parse_scene
 
-HEAD = "[camera]\nposition_m = [0, 0, 1]\ntarget_m = [0, 1, 1]\n"
+HEAD = "camera = {position_m = [0, 0, 1], target_m = [0, 1, 1]}\n"
 
 
-def parse(text: str, folder: Path = Path()) -> object:
+BANK = """[[bank]]
+middle_m = [0, 10, 2]
+spread_m = [4, 4, 1]
+count = 5
+radius_m = 3
+extinction_per_m = 0.2
+"""
+
+
+def parse(text: str, folder: Path = Path()) -> ShaftScene:
     return parse_scene(HEAD + text, "mine.toml", folder)
 
 
@@ -22,8 +32,8 @@ def test_every_preset_is_a_scene(name: str) -> None:
     assert scene.sun is not None or scene.lights
 
 
-def test_the_presets_are_four() -> None:
-    assert PRESETS == ("columns", "lights", "ridge", "window")
+def test_the_presets_are_six() -> None:
+    assert PRESETS == ("columns", "fogbank", "lamps_in_fog", "lights", "ridge", "window")
 
 
 def test_a_scene_is_what_the_file_says(tmp_path: Path) -> None:
@@ -59,6 +69,16 @@ offset_m = [0, 0, 7]
     assert [0.0, 0.0, 9.0] in scene.meshes[0].vertices.tolist()
 
 
+def test_a_bank_of_fog_is_at_the_time_of_the_scene() -> None:
+    more = "wind_m_per_s = [1, 0, 0]\nchange_time_s = 60\nasymmetry = 0.5\nresolution = 32\nshadow = false\nseed = 4\n"
+    bank = parse("time_s = 12\n" + BANK + more).air.banks[0]
+    assert (bank.extinction, bank.asymmetry, bank.resolution, bank.shadow, bank.time) == (0.2, 0.5, 32, False, 12.0)
+    assert (bank.medium.wind, bank.medium.change_time, bank.medium.seed) == ((1.0, 0.0, 0.0), 60.0, 4)
+    assert bank.medium.noise_wavelength == 3.0
+    assert parse(BANK).air.banks[0].time == 0.0
+    assert not parse(BANK).air.empty
+
+
 def test_a_low_sun_is_red() -> None:
     low, high = make_sun(0.0, math.radians(3.0)).irradiance, make_sun(0.0, math.radians(60.0)).irradiance
     assert low[0] / low[2] > 2.0 > high[0] / high[2]
@@ -76,6 +96,12 @@ def test_a_low_sun_is_red() -> None:
         ("[[sphere]]\ncentre_m = [0, 0, 0]\nradius_m = 0\n", "positive radius"),
         ("[[mesh]]\nfile = 'gone.obj'\n", "no such file"),
         ("[[tree]]\n", "unknown key 'tree'"),
+        ("[[bank]]\n", "middle_m is missing"),
+        (BANK + "fluff = 3\n", "unknown key 'fluff'"),
+        (BANK + "visibility_m = 3\n", "either visibility_m or extinction_per_m"),
+        (BANK + "strength = -1\n", "finite strength of at least 0 of a bank"),
+        (BANK.replace("count = 5", "count = 0"), "fills no box"),
+        (BANK + "scale_height_m = 5\n", "needs a base"),
         ("reach_m = [", "not a TOML file"),
     ],
 )
@@ -86,7 +112,7 @@ def test_bad_input_names_the_file_and_the_reason(text: str, words: str) -> None:
 
 
 def test_a_scene_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="there are the presets columns, lights, ridge, window"):
+    with pytest.raises(SceneError, match="there are the presets columns, fogbank, lamps_in_fog, lights, ridge, window"):
         load_scene("sahara")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(SceneError, match="not a text file"):
