@@ -40,7 +40,14 @@ def pareto_front(points: Sequence[Point]) -> list[int]:
     return front
 
 
-def draw_front(points: Sequence[Point], title: str, error_name: str, folder: Path, name: str) -> list[Path]:
+def draw_front(
+    points: Sequence[Point],
+    title: str,
+    error_name: str,
+    folder: Path,
+    name: str,
+    seconds_name: str = "seconds to build",
+) -> list[Path]:
     """Write the drawing as PNG and SVG, both axes logarithmic; returns the files."""
     folder.mkdir(parents=True, exist_ok=True)
     groups = list(dict.fromkeys(point.group for point in points))
@@ -58,7 +65,7 @@ def draw_front(points: Sequence[Point], title: str, error_name: str, folder: Pat
         front = [points[number] for number in pareto_front(points)]
         steps = [point.seconds for point in front], [point.error for point in front]
         axes.step(*steps, where="post", color="0.5", linewidth=1.2, label="not beaten in both", zorder=2)
-        axes.set(xscale="log", yscale="log", xlabel="seconds to build", ylabel=error_name, title=title)
+        axes.set(xscale="log", yscale="log", xlabel=seconds_name, ylabel=error_name, title=title)
         axes.grid(which="both", color="0.9", linewidth=0.6)
         axes.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
         files = [folder / f"{name}.{kind}" for kind in ("png", "svg")]

@@ -47,6 +47,9 @@ class MethodName(enum.StrEnum):
     ENGELHARDT2010 = "engelhardt2010"
     CHEN2011 = "chen2011"
     ALI2017 = "ali2017"
+    INTERLEAVED = "interleaved"
+    BIRI2006 = "biri2006"
+    WYMAN2013 = "wyman2013"
     ADAPTIVE = "adaptive"
     TAN2020_FROXELS = "tan2020_froxels"
 

@@ -43,6 +43,12 @@ def uniform_edges(rays: ViewRays, steps: int) -> Tensor:
     return rays.distance[:, None] * share
 
 
+def shifted_edges(rays: ViewRays, steps: int, shift: float) -> Tensor:
+    """Borders `(ray, step + 2)` [m] of equal steps that begin a share of a step, 0..1, before the ray does; both end ones are cut."""
+    share = (torch.arange(steps + 2, dtype=rays.distance.dtype, device=rays.distance.device) - shift) / steps
+    return rays.distance[:, None] * share.clamp(0.0, 1.0)
+
+
 def edges_towards_lamp(rays: ViewRays, position: tuple[float, float, float], radius: float, steps: int) -> Tensor:
     """Borders of steps that are short near a lamp: half of them are equal, half subtend equal angles at it, in order.
 

@@ -95,6 +95,10 @@ class Stage:
         """Lengths of the rays `(height, width)` [m]."""
         return self.rays.distance.reshape(self.scene.camera.height, self.scene.camera.width)
 
+    def with_rays(self, chosen: Tensor) -> "Stage":
+        """The same scene and lights with some of the rays `(ray,)`: no picture any more, but enough for a march ray by ray."""
+        return replace(self, rays=self.rays[chosen], background=self.background[chosen])
+
     def rays_through(self, points: Tensor, distance: Tensor) -> ViewRays:
         """Rays of given lengths `(point,)` [m] through points of the image `(point, 2)`: x, y [pixel]."""
         return ViewRays(*self.scene.camera.rays_through(points), distance)

@@ -71,19 +71,6 @@ def test_fog_is_timed_and_judged_beside_the_march(tmp_path: Path, capsys: pytest
     assert "not reached" in out
 
 
-def test_shafts_are_timed_and_judged_by_the_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    result, out = run_quick("shafts", tmp_path, capsys, "--threads", "1", "--scenes", "window")
-    methods = result["scenes"]["window"]["methods"]
-    assert {"brute_force", "adaptive", "adaptive, refined", "chen2011", "engelhardt2010", "ali2017"} <= set(methods)
-    for found in methods.values():
-        assert 0.0 < found["relative_rms"] < 1.0
-        assert found["seconds"]["median"] > 0.0
-    assert methods["brute_force"]["speed_up"] == 1.0
-    assert [one["lamps"] for one in result["lamps"]] == [1, 2]
-    assert result["triangles"][0]["triangles"] < result["triangles"][1]["triangles"]
-    assert "times brute force" in out
-
-
 def test_evaluations_are_timed_beside_a_scalar_loop_in_the_same_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

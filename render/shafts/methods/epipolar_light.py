@@ -14,8 +14,15 @@ from render.shafts.stage import Clock, Stage
 BLOCKED = 0.9
 """Share of a ray's length before which a surface means that the ray passes beside what its pixel sees."""
 
+MOST_RAYS = 4.0
+"""Rays for each pixel beyond which lines are given up. Small pictures, on which settings are chosen, have up to three with the usual
+settings: without lines their error would say nothing of the interpolation in a large picture."""
+
 LineMarcher = Callable[[Lighting, ViewRays, Tensor | None], Tensor]
-"""One light, rays, and the numbers of their epipolar lines `(ray,)` (None for rays of no line) to light `(ray, channel)`."""
+"""One light, rays, and the numbers of their epipolar lines `(ray,)` (None for rays of no line) to light `(ray, channel)`.
+
+Where lines would need `MOST_RAYS` times as many rays as there are pixels, each pixel's ray is a line of its own.
+"""
 
 
 def find_light_image(stage: Stage, lighting: Lighting) -> LightImage | None:
@@ -53,7 +60,13 @@ def gather_along_lines(
             continue
         with clock.timed("epipolar lines"):
             sampling = build_epipolar_sampling(image, stage.depth_buffer, settings)
-            on_lines = _cast_samples(stage, sampling)
+            needless = len(sampling.marched) + len(sampling.own_pixels) > MOST_RAYS * len(stage.rays)
+            on_lines = _cast_samples(stage, sampling) if not needless else None
+        if on_lines is None:
+            with clock.timed("marching"):
+                # Lines so dense cost more than what they approximate.
+                total += marcher(lighting, stage.rays, torch.arange(len(stage.rays)))
+            continue
         with clock.timed("marching"):
             marched = marcher(lighting, on_lines, sampling.line[sampling.marched])
             own = marcher(lighting, stage.rays[sampling.own_pixels], None)

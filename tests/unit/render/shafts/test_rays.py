@@ -1,6 +1,6 @@
 import torch
 
-from render.shafts.rays import ViewRays, edges_towards_lamp, uniform_edges
+from render.shafts.rays import ViewRays, edges_towards_lamp, shifted_edges, uniform_edges
 
 
 def test_points_and_edges_lie_along_the_rays() -> None:
@@ -28,3 +28,11 @@ def test_steps_are_short_near_a_lamp_and_tile_the_ray() -> None:
     shortest = int(lengths.argmin())
     assert 55.0 < float(edges[0, shortest]) < 61.0
     assert float(lengths.min()) < 0.1 * float(lengths.max())
+
+
+def test_shifted_steps_tile_the_ray() -> None:
+    rays = ViewRays(torch.zeros(2, 3), torch.tensor([[1.0, 0.0, 0.0]]).expand(2, 3), torch.tensor([8.0, 2.0]))
+    edges = shifted_edges(rays, 4, 0.25)
+    torch.testing.assert_close(edges[0], torch.tensor([0.0, 1.5, 3.5, 5.5, 7.5, 8.0]))
+    torch.testing.assert_close(edges[1], 0.25 * edges[0])
+    torch.testing.assert_close(shifted_edges(rays, 4, 0.0)[:, :-1], uniform_edges(rays, 4))

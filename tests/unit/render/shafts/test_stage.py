@@ -7,6 +7,7 @@ import torch
 from render.errors import ParameterError
 from render.shafts.air import Air
 from render.shafts.lights import AlwaysLit
+from render.shafts.methods import BruteForce
 from render.shafts.ray_casting import SunRays
 from render.shafts.stage import Clock, MapSettings, prepare_stage, relight
 from tests.support.shaft_scenes import small_scene, small_stage
@@ -77,3 +78,12 @@ def test_settings_and_the_clock() -> None:
             pass
     assert list(clock.seconds) == ["part"]
     assert clock.seconds["part"] >= 0.0
+
+
+def test_some_rays_are_marched_as_among_all() -> None:
+    stage = small_stage()
+    chosen = torch.tensor([5, 100, 17])
+    some = BruteForce(8).gather(stage.with_rays(chosen)).in_scattering
+    whole = BruteForce(8).gather(stage).in_scattering
+    torch.testing.assert_close(some, whole[chosen])
+    assert not torch.allclose(some, whole[:3])

@@ -1,9 +1,11 @@
 import pytest
 import torch
 
+import render.shafts.truth as truth_module
 from render.errors import ParameterError
 from render.shafts.air import Air
 from render.shafts.methods import Adaptive, BruteForce
+from render.shafts.stage import Stage
 from render.shafts.truth import choose_settings, compute_truth, measure_error
 from tests.support.shaft_scenes import SMALL_MAPS, small_scene, small_stage
 
@@ -26,6 +28,26 @@ def test_the_truth_is_converged() -> None:
     finer = BruteForce(4096).gather(stage).in_scattering
     assert measure_error(truth.in_scattering, finer).relative_rms < 2e-3
     assert measure_error(BruteForce(8).gather(stage).in_scattering, finer).relative_rms > 1e-2
+
+
+def test_rays_that_have_settled_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    stage, marched = small_stage(), []
+    whole = truth_module._march_everything
+
+    def counting(some: Stage, steps: int) -> torch.Tensor:
+        marched.append((len(some.rays), steps))
+        return whole(some, steps)
+
+    monkeypatch.setattr(truth_module, "_march_everything", counting)
+    found = compute_truth(stage, 1e-4)
+    assert marched[:3] == [(len(stage.rays), steps) for steps in (16, 32, 64)]
+    assert marched[-1][0] < len(stage.rays)
+    monkeypatch.setattr(truth_module, "SETTLED", 0.0)
+    full = compute_truth(stage, 1e-4)
+    assert measure_error(found.in_scattering, full.in_scattering).relative_rms < 1e-4
+    monkeypatch.setattr(truth_module, "SETTLED", 100.0)
+    hasty = compute_truth(stage, 1e-2)
+    assert measure_error(hasty.in_scattering, full.in_scattering).relative_rms > 1e-4
 
 
 def test_settings_keep_within_the_tolerance() -> None:

@@ -41,7 +41,7 @@ def test_blocks_and_two_levels_of_steps_work_too() -> None:
 
 
 def test_the_report_says_what_was_marched() -> None:
-    gathered = Adaptive(factor=4).gather(STAGE)
+    gathered = Adaptive(factor=4).gather(small_stage(small_scene(240, 160)))
     assert [sentence.partition(":")[0] for sentence in gathered.modelled[1:]] == ["the sun", "one lamp"]
     assert {"epipolar lines", "marching", "interpolation", "filling", "refinement"} == set(gathered.seconds)
 

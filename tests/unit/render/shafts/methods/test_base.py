@@ -15,7 +15,7 @@ def test_every_method_at_full_density_is_brute_force(name: str) -> None:
     exact = METHODS["brute_force"].at_full_density(STEPS).gather(stage).in_scattering
     dense = METHODS[name].at_full_density(STEPS).gather(stage).in_scattering
     # Lit stretches are resolved to the texel, and froxels end at other places than steps: what is left is the error of the steps.
-    own_places = {"chen2011": 3e-3, "tan2020_froxels": 1e-2}
+    own_places = {"chen2011": 3e-3, "biri2006": 3e-3, "tan2020_froxels": 1e-2}
     assert measure_error(dense, exact).relative_rms < own_places.get(name, 1e-4)
     coarse = METHODS[name].at_full_density(STEPS // 16).gather(stage).in_scattering
     assert measure_error(coarse, exact).relative_rms > 1e-4

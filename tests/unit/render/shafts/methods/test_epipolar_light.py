@@ -6,7 +6,7 @@ from torch import Tensor
 from render.camera import OrthographicCamera
 from render.shafts.epipolar_sampling import EpipolarSettings
 from render.shafts.lights import Lighting
-from render.shafts.methods.epipolar_light import describe, find_light_image, gather_along_lines
+from render.shafts.methods.epipolar_light import MOST_RAYS, describe, find_light_image, gather_along_lines
 from render.shafts.rays import ViewRays
 from render.shafts.stage import Clock
 from tests.support.shaft_scenes import small_scene, small_stage
@@ -52,3 +52,20 @@ def test_a_sun_in_line_with_parallel_rays_has_no_lines() -> None:
     )
     torch.testing.assert_close(light, torch.ones_like(light))
     assert "16th" in describe(EpipolarSettings())
+
+
+def test_lines_denser_than_pixels_give_way_to_the_pixels() -> None:
+    stage = small_stage(small_scene(lamps=False))
+    seen: list[tuple[int, int]] = []
+
+    def marcher(_: Lighting, rays: ViewRays, line: Tensor | None) -> Tensor:
+        seen.append((len(rays), 0 if line is None else len(line.unique())))
+        return torch.ones(len(rays), 3)
+
+    pixels = len(stage.rays)
+    gather_along_lines(stage, stage.lighting, EpipolarSettings(0.2, 0.2, 1, 0.1), marcher, Clock())
+    assert seen == [(pixels, pixels)]
+    seen.clear()
+    gather_along_lines(stage, stage.lighting, EpipolarSettings(6.0, 1.0, 8, 0.5), marcher, Clock())
+    assert sum(rays for rays, _ in seen) <= MOST_RAYS * pixels
+    assert len(seen) == 2
