@@ -62,7 +62,7 @@ QUALITIES: dict[str, Quality] = {
         Effort(258, 60_000, 1_000_000, 16, True, 0.05),
         7,
         9,
-        0.15,
+        0.16,
     ),
     "standard": Quality(
         0.5,

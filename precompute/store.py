@@ -124,6 +124,27 @@ def load_tables(path: str | Path, expected_key: str) -> tuple[dict[str, Tensor],
             names the file and the reason.
     """
     path = Path(path)
+    while True:
+        version = _version(path)
+        try:
+            return _load_once(path, expected_key)
+        except StoreError:
+            # The library opens a file twice: another process that replaces it in between makes two halves that do not fit.
+            if _version(path) == version:
+                raise
+
+
+def _version(path: Path) -> tuple[int, int] | None:
+    """What tells a file from another that takes its place, None where there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_mtime_ns
+
+
+def _load_once(path: Path, expected_key: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """As `load_tables`, of a file that nobody replaces meanwhile."""
     if not path.is_file():
         raise StoreError(f"cannot load the tables {path}: there is no such file")
     try:
