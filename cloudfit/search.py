@@ -18,7 +18,7 @@ from cloudfit.optimisers import OPTIMISERS
 from cloudfit.optimisers.base import Budget, EvaluationLog, OptimiserResult, StopReason, pool_results, run_logged
 from cloudfit.optimisers.screened_evolution import ScreenedEvolution
 
-USUAL_EVALUATIONS = 1500
+USUAL_EVALUATIONS = 730
 """Of one search without a budget; the progress that is shown goes by it."""
 
 RESCORED = 64

@@ -39,19 +39,6 @@ def compute_single_scattering(
     extinction: Tensor,
     step: float,
     sections: int = 32,
-) -> Tensor:
-    """Single-scattering integral S1 of rays; arguments and result as of `estimate_single_scattering`, without the error."""
-    return estimate_single_scattering(grid, origin, direction, sun_direction, extinction, step, sections)[0]
-
-
-def estimate_single_scattering(
-    grid: DensityGrid,
-    origin: Tensor,
-    direction: Tensor,
-    sun_direction: Tensor,
-    extinction: Tensor,
-    step: float,
-    sections: int = 32,
 ) -> tuple[Tensor, Tensor]:
     """Single-scattering integral S1 of rays, and how far off it is about.
 
@@ -73,11 +60,9 @@ def estimate_single_scattering(
         _integrate_rays(grid, origin[rays], direction[rays], sun_direction, extinction, step, sections)
         for rays in ray_chunks(grid, len(origin), CAMERA_SHARE * step)
     ]
-    fine, coarse = (
-        (torch.cat(ones, dim=1) for ones in zip(*parts, strict=True))
-        if parts
-        else [torch.zeros(len(extinction), 0)] * 2
-    )
+    if not parts:
+        return torch.zeros(len(extinction), 0), torch.zeros(len(extinction), 0)
+    fine, coarse = (torch.cat(ones, dim=1) for ones in zip(*parts, strict=True))
     return fine, (fine - coarse).abs() / ERROR_DIVISOR
 
 

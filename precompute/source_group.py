@@ -25,7 +25,7 @@ from precompute.error_probe import ErrorProbe, SmoothSource, probe_rays
 from precompute.gather import Lattice, Strata, gather_bags, lattice_over, stratify_rays
 from precompute.group_task import GroupTask
 from precompute.order_plan import OrderPlan, plan_orders
-from precompute.single_scattering import estimate_single_scattering
+from precompute.single_scattering import compute_single_scattering
 from precompute.smoothing import find_neighbours
 from precompute.source_model import SourceModel, Surroundings, measure_surroundings
 from precompute.source_points import SourceTable, allocate_paths
@@ -88,7 +88,7 @@ class _Clock:
 def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages:
     """Images of a group; `report` is called with the share that is done."""
     clock, view = _Clock(), task.view
-    single, single_error = estimate_single_scattering(
+    single, single_error = compute_single_scattering(
         view.grid, view.origin, view.direction, view.sun, task.extinction, task.step, task.sections
     )
     clock.lap("single scattering")

@@ -58,7 +58,7 @@ def images(paths: int, smooth: bool) -> tuple[list[list[SmoothSource]], torch.Te
     view = view_of(GRID, CAMERA, SUN)
     lattice = lattice_over(GRID, 1.0)
     strata = stratify_rays(GRID, view.origin, view.direction, EXTINCTION, 8)
-    single = compute_single_scattering(GRID, view.origin, view.direction, view.sun, EXTINCTION, 0.5, 16)
+    single, _ = compute_single_scattering(GRID, view.origin, view.direction, view.sun, EXTINCTION, 0.5, 16)
     numbers, albedo = torch.arange(lattice.size), torch.tensor(ALBEDOS)
     entry, knots = torch.arange(lattice.size, dtype=torch.int32), torch.tensor(PLAN.knots)
     once = (single, torch.zeros_like(single))
@@ -137,7 +137,7 @@ def test_the_error_of_single_scattering_is_added_in_quadrature() -> None:
     view = view_of(GRID, CAMERA, SUN)
     lattice = lattice_over(GRID, 4.0)
     strata = stratify_rays(GRID, view.origin, view.direction, EXTINCTION, 8)
-    single = compute_single_scattering(GRID, view.origin, view.direction, view.sun, EXTINCTION, 0.5, 16)
+    single, _ = compute_single_scattering(GRID, view.origin, view.direction, view.sun, EXTINCTION, 0.5, 16)
     entry = torch.arange(lattice.size, dtype=torch.int32)
     without, alone = (
         ErrorProbe(view, lattice, entry, strata, (single, share * single), ASYMMETRY, PLAN, torch.tensor([0.9]))

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from precompute.free_flight import march_to_sun
-from precompute.single_scattering import compute_single_scattering, estimate_single_scattering
+from precompute.single_scattering import compute_single_scattering
 from render.density_grid import DensityGrid
 from render.ray_march import march_rays
 from tests.support.quadrature import box_single
@@ -22,7 +22,7 @@ RAY = (torch.tensor([[0.3, -9.0, 0.4]]), torch.tensor([[0.0, 1.0, 0.0]]))
 def compute(sun: torch.Tensor, grid: DensityGrid | None = None, sections: int = 32) -> torch.Tensor:
     """S1 `(depth,)`, each extinction by itself."""
     cloud = grid or uniform_box()
-    single = [compute_single_scattering(cloud, *RAY, sun, depth[None] / LENGTH, 0.5, sections) for depth in DEPTHS]
+    single = [compute_single_scattering(cloud, *RAY, sun, depth[None] / LENGTH, 0.5, sections)[0] for depth in DEPTHS]
     return torch.cat(single).flatten()
 
 
@@ -74,7 +74,7 @@ def test_a_cloud_by_plain_quadrature() -> None:
     grid, sun = smooth_box(), towards(120, 30)
     origin, direction = random_rays(grid, 40)
     extinction = torch.tensor([0.02, 0.1, 0.5])
-    found = compute_single_scattering(grid, origin, direction, sun, extinction, 0.05, 800)
+    found, _ = compute_single_scattering(grid, origin, direction, sun, extinction, 0.05, 800)
     profile = march_rays(grid, origin, direction, 0.02)
     middle = 0.5 * (profile.distance[:, 1:] + profile.distance[:, :-1])
     points = origin[:, None] + middle[..., None] * direction[:, None]
@@ -90,8 +90,8 @@ def test_a_cloud_by_plain_quadrature() -> None:
 def test_scenes_have_no_scale() -> None:
     grid, sun, extinction = noise_box(), towards(120, 30), torch.tensor([0.1, 2.0])
     origin, direction = random_rays(grid, 40)
-    small = compute_single_scattering(grid, origin, direction, sun, extinction, 0.5)
-    large = compute_single_scattering(scaled(grid, 512.0), 512.0 * origin, direction, sun, extinction / 512.0, 0.5)
+    small, _ = compute_single_scattering(grid, origin, direction, sun, extinction, 0.5)
+    large, _ = compute_single_scattering(scaled(grid, 512.0), 512.0 * origin, direction, sun, extinction / 512.0, 0.5)
     torch.testing.assert_close(large, small)
 
 
@@ -99,11 +99,11 @@ def test_rays_that_miss_and_empty_volumes_are_black() -> None:
     sun, extinction = towards(120, 30), torch.tensor([0.1, 2.0])
     empty = DensityGrid.from_voxel_size(torch.zeros(3, 3, 3), 1.0)
     origin, direction = random_rays(empty, 5)
-    assert torch.equal(compute_single_scattering(empty, origin, direction, sun, extinction, 0.5), torch.zeros(2, 5))
-    assert torch.equal(
-        compute_single_scattering(noise_box(), origin + 99.0, direction, sun, extinction, 0.5), torch.zeros(2, 5)
-    )
-    assert compute_single_scattering(noise_box(), origin[:0], direction[:0], sun, extinction, 0.5).shape == (2, 0)
+    for grid, start in ((empty, origin), (noise_box(), origin + 99.0)):
+        for found in compute_single_scattering(grid, start, direction, sun, extinction, 0.5):
+            assert torch.equal(found, torch.zeros(2, 5))
+    nothing = compute_single_scattering(noise_box(), origin[:0], direction[:0], sun, extinction, 0.5)
+    assert [found.shape for found in nothing] == [(2, 0), (2, 0)]
 
 
 @pytest.mark.parametrize("sections", [8, 16, 31])
@@ -111,8 +111,8 @@ def test_the_stated_error_is_that_of_the_sections(sections: int) -> None:
     grid, sun = noise_box(sparse=0.6), towards(20, 25)
     origin, direction = random_rays(grid, 400)
     extinction = torch.tensor([2.0, 8.0]) / float(grid.maximum)
-    found, stated = estimate_single_scattering(grid, origin, direction, sun, extinction, 0.05, sections)
-    truth = compute_single_scattering(grid, origin, direction, sun, extinction, 0.05, 1000)
+    found, stated = compute_single_scattering(grid, origin, direction, sun, extinction, 0.05, sections)
+    truth, _ = compute_single_scattering(grid, origin, direction, sun, extinction, 0.05, 1000)
     real, estimated = ((found - truth).square().mean(1).sqrt(), stated.square().mean(1).sqrt())
     assert bool((real > 1e-4).all())
     assert bool((estimated / real > 0.5).all() & (estimated / real < 2.0).all())
