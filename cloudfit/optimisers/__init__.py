@@ -35,7 +35,8 @@ First steps of 0.02 or 0.15 and Nelder-Mead do as well, the latter better where 
 SCREENED_ITERATIONS = 36
 """Some 730 evaluations. Three such searches find better optima than one of as many together: photographs have several basins.
 
-Twelve iterations more gained nothing on six photographs with three seeds each, once all pixels had settled what was found.
+Twelve iterations more gain little once all pixels have settled what was found, and take a quarter more time: on a photograph with two
+basins the better one is found by three fits of six instead of two; 24 more find it as often.
 """
 
 OPTIMISERS: Mapping[str, Minimiser] = MappingProxyType(
