@@ -34,8 +34,10 @@ CHUNK = 64
 
 Medium = tuple[Floats, Floats, float, float]
 """Densities; corners and voxel size of their box; marching step; farthest optical length to the sun."""
-Table = tuple[Floats, Floats, Doubles, Doubles, Doubles]
-"""Asymmetries, their anchors and the odds of these; extinctions and their anchors, each with the logarithms as a second row."""
+Longs = NDArray[np.int64]
+Table = tuple[Floats, Floats, Doubles, Longs, Longs, Doubles, Doubles]
+"""Asymmetries, their anchors and the odds of these; last order of asymmetries and anchors; extinctions and their anchors, each with the
+logarithms as a second row."""
 Plan = tuple[Doubles, Doubles, Doubles]
 """Continuation, connection and shares of an `OrderPlan`."""
 Points = tuple[Floats, Floats, Floats, NDArray[np.int64], NDArray[np.int64]]
@@ -82,10 +84,14 @@ def _fly(
 
 
 @njit(nogil=True, cache=True)
-def _sampled(cosine: float, cosine_sun: float, anchors: Floats, odds: Doubles, density: Doubles) -> float:
+def _sampled(
+    order: int, cosine: float, cosine_sun: float, anchors: Floats, odds: Doubles, last: Longs, density: Doubles
+) -> float:
     """Density of all anchors with which a leg or a branch takes a direction, after the legs before it."""
     mean = 0.0
     for a in range(len(anchors)):
+        if last[a] < order:
+            continue
         branch = anchors[a] * anchors[a] * phase(cosine_sun, anchors[a])
         mean += odds[a] * density[a] * (phase(cosine, anchors[a]) + branch)
     return mean
@@ -148,13 +154,15 @@ def _add_vertex(
         reached: probability of having come so far and of being connected.
     """
     values, box, stride, farthest = medium
-    asymmetry, asymmetry_anchors, odds, extinction, extinction_anchors = table
+    asymmetry, asymmetry_anchors, odds, last, anchor_last, extinction, extinction_anchors = table
     of_node, of_square, product, density, of_g, of_s = sums
     turned, cosine, passed = leg
     cosine_sun = cosine_between(sun, turned)
-    weight = 1.0 / (_sampled(cosine, cosine_sun, asymmetry_anchors, odds, density) * reached)
+    weight = 1.0 / (_sampled(order, cosine, cosine_sun, asymmetry_anchors, odds, anchor_last, density) * reached)
     for g in range(len(asymmetry)):
-        of_g[g] = product[g] * phase(cosine, asymmetry[g]) * phase(cosine_sun, asymmetry[g]) * weight
+        of_g[g] = 0.0
+        if last[g] >= order:
+            of_g[g] = product[g] * phase(cosine, asymmetry[g]) * phase(cosine_sun, asymmetry[g]) * weight
     sun_length = _fly(values, box, stride, position, sun, farthest)[2]
     _connect(order, passed, sun_length, extinction, extinction_anchors, of_s)
     for knot in range(len(shares)):
@@ -168,15 +176,16 @@ def _trace_path(
 ) -> None:
     """Follow one path and add its weights to the sums `(knot, asymmetry, extinction)`."""
     values, box, stride, _ = medium
-    asymmetry, asymmetry_anchors, odds, _, extinction_anchors = table
+    asymmetry, asymmetry_anchors, odds, _, anchor_last, _, extinction_anchors = table
     continuation, connection, shares = plan
     product, density = sums[2], sums[3]
     product[:], density[:] = 1.0, 1.0
-    lobe = asymmetry_anchors[_choose(uniform(key, ASYMMETRY_DRAW), odds)]
+    chosen = _choose(uniform(key, ASYMMETRY_DRAW), odds)
+    lobe = asymmetry_anchors[chosen]
     thickness = extinction_anchors.shape[1]
     anchor = np.float32(extinction_anchors[0, min(int(uniform(key, EXTINCTION_DRAW) * thickness), thickness - 1)])
     passed, reached = np.float32(0.0), 1.0
-    for order in range(2, len(continuation) + 2):
+    for order in range(2, min(len(continuation) + 1, anchor_last[chosen]) + 1):
         dimension = 2 + DRAWS * (order - 2)
         if not uniform(key, dimension + CONTINUATION) < continuation[order - 2]:
             return
@@ -217,7 +226,7 @@ def _trace_points(
 ) -> None:
     """Means over the paths of each point, into `source` `(extinction, point, half, knot, asymmetry)`, and sums of squares."""
     position, direction, sun, counts, counters = points
-    knots, lobes, thickness = plan[2].shape[1], len(table[0]), table[3].shape[1]
+    knots, lobes, thickness = plan[2].shape[1], len(table[0]), table[5].shape[1]
     product, density = np.empty(lobes), np.empty(len(table[1]))
     of_g, of_s = np.empty(lobes), np.empty(thickness)
     means = np.empty((knots, lobes, thickness))
@@ -250,6 +259,8 @@ def trace_paths(
     asymmetry: Tensor,
     asymmetry_anchors: Tensor,
     asymmetry_odds: Tensor,
+    asymmetry_last: Tensor,
+    anchor_last: Tensor,
     extinction: Tensor,
     extinction_anchors: Tensor,
     continuation: Tensor,
@@ -268,7 +279,9 @@ def trace_paths(
         sun_direction: unit vector towards the sun `(3,)`.
         counts: paths of each point `(point,)`, even.
         counters: number of each point's first path `(point,)`.
-        asymmetry, asymmetry_anchors, asymmetry_odds, extinction, extinction_anchors: see `TableNodes`.
+        asymmetry, asymmetry_anchors, asymmetry_odds: see `TableNodes`.
+        asymmetry_last, anchor_last: last orders of the asymmetries and of their anchors, int64.
+        extinction, extinction_anchors: see `TableNodes`.
         continuation, connection, shares: see `OrderPlan`.
         stream: from `stream_number`.
 
@@ -283,7 +296,7 @@ def trace_paths(
     squares = torch.zeros(chunks, knots, lobes, thickness, dtype=torch.float64)
     medium = (values.numpy(), box.numpy(), np.float32(stride), np.float32(farthest))
     table = (
-        *(tensor.numpy() for tensor in (asymmetry, asymmetry_anchors, asymmetry_odds)),
+        *(tensor.numpy() for tensor in (asymmetry, asymmetry_anchors, asymmetry_odds, asymmetry_last, anchor_last)),
         _with_logarithm(extinction),
         _with_logarithm(extinction_anchors),
     )

@@ -1,14 +1,16 @@
 """What a group of extinction nodes is made of, and how finely its rays and paths are cut."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from torch import Tensor
 
+from precompute.carried_orders import CarriedOrders, carry_orders, resolving_lattice
 from precompute.error_budget import Effort
 from precompute.gather import Lattice
 from precompute.order_plan import OrderPlan
-from precompute.path_sampler import TableNodes
+from precompute.path_sampler import TableNodes, every_order
 from precompute.source_points import SourceTable
 from precompute.view import View
 
@@ -26,6 +28,9 @@ SECTIONS_AT_ONE = 1.28
 
 THIN_DEPTH, FEWEST_STRATA = 2.0, 4
 """In groups thinner than this the number of strata falls with the root of the depth: where little is absorbed, little depends on where."""
+
+FEWEST_CARRIED = 18
+"""Largest order from which on carrying pays: paths in thin clouds are short anyway."""
 
 THINNEST_ANCHOR = 0.5
 """Largest optical depth below which no path is drawn: multiple scattering is a per-cent effect there, and reweighting reaches it."""
@@ -72,17 +77,23 @@ class GroupTask:
         wanted = 0.0 if self.effort.tolerance is None else SECTIONS_AT_ONE / self.effort.tolerance
         return max(SECTIONS_PER_STRATUM * self.strata, math.ceil(wanted * min(1.0, math.sqrt(depth / THIN_DEPTH))))
 
-    @property
-    def nodes(self) -> TableNodes:
-        """Nodes and anchors of the paths."""
+    def nodes(self, last_order: Callable[[Tensor], Tensor] = every_order) -> TableNodes:
+        """Nodes and anchors of the paths, and the last order that they trace at each asymmetry."""
         anchors = self.extinction[self.extinction * self.view.largest_optical_length >= THINNEST_ANCHOR]
-        return TableNodes(
-            self.asymmetry, self.extinction, self.asymmetry, anchors if len(anchors) else self.extinction[-1:]
-        )
+        thick = anchors if len(anchors) else self.extinction[-1:]
+        return TableNodes(self.asymmetry, self.extinction, self.asymmetry, thick, last_order)
 
-    def source_table(self, lattice: Lattice, plan: OrderPlan, stream: int) -> SourceTable:
+    def source_table(self, lattice: Lattice, plan: OrderPlan, nodes: TableNodes, stream: int) -> SourceTable:
         """Empty table of the source on a lattice; `stream` tells its random numbers from those of the group's other tables."""
         view = self.view
-        return SourceTable(
-            view.grid, view.camera, view.sun, lattice, self.nodes, plan, self.step, 2 * self.seed + stream
-        )
+        return SourceTable(view.grid, view.camera, view.sun, lattice, nodes, plan, self.step, 2 * self.seed + stream)
+
+    def carry(self, plan: OrderPlan, points: int, on_progress: Callable[[float], None]) -> CarriedOrders | None:
+        """High orders, carried on a lattice of at most so many points; None where that is too coarse, or nothing is left to carry."""
+        if plan.largest_order < FEWEST_CARRIED:
+            return None
+        lattice = resolving_lattice(self.view.grid, float(self.extinction[-1]), points)
+        if lattice is None:
+            return None
+        nodes = (self.asymmetry, self.extinction)
+        return carry_orders(self.view, lattice, *nodes, plan, self.step, self.seed, on_progress)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import copy_context
 from typing import TypeVar
 
 import torch
@@ -31,7 +32,7 @@ def map_in_threads(
             on_done(number + 1)
         return results
     with _one_thread_each(), ThreadPoolExecutor(threads) as pool:
-        futures = [pool.submit(work, number) for number in range(count)]
+        futures = [pool.submit(copy_context().run, work, number) for number in range(count)]
         try:
             for number, future in enumerate(futures):
                 results.append(future.result())

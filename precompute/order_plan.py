@@ -56,13 +56,28 @@ class OrderPlan:
         """Largest number of scatterings."""
         return self.knots[-1]
 
+    def until(self, order: int) -> "OrderPlan":
+        """The orders up to a knot."""
+        return OrderPlan(
+            tuple(knot for knot in self.knots if knot <= order),
+            self.shares[: order - 1, : self.knots.index(order) + 1],
+            self.continuation[: order - 1],
+            self.connection[: order - 1],
+        )
 
-def plan_orders(largest_order: int) -> OrderPlan:
-    """Plan for all orders from two up to the largest."""
+
+def place_knots(largest_order: int) -> list[int]:
+    """Knots for all orders from two up to the largest."""
     knots = list(range(2, min(largest_order, SEPARATE_ORDERS) + 1))
     while knots[-1] < largest_order:
         growth = 2 if knots[-1] < FAR_ORDER else 4
         knots.append(min(growth * (knots[-1] - 2) + 2, largest_order))
+    return knots
+
+
+def plan_orders(largest_order: int) -> OrderPlan:
+    """Plan for all orders from two up to the largest."""
+    knots = place_knots(largest_order)
     orders = range(2, largest_order + 1)
     shares = torch.zeros(len(orders), len(knots), dtype=torch.float64)
     continuation = torch.ones(len(orders), dtype=torch.float64)

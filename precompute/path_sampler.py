@@ -18,7 +18,7 @@ anchors, and no branch goes on, so that the bound does not grow with the order. 
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from enum import IntEnum
 
@@ -31,8 +31,16 @@ from render.density_grid import DensityGrid
 from render.phase_functions import evaluate_phase_function, rotate_direction, sample_phase_cosine
 from render.random_streams import counter_uniform
 
+EVERY_ORDER = 1 << 30
+"""Last order of asymmetries that are followed as far as the plan goes."""
+
 FORWARD_EXPONENT = 1.0
 """Anchors are drawn in proportion to 1 / (1 - |g|) to this power."""
+
+
+def every_order(asymmetry: Tensor) -> Tensor:
+    """Last order that paths are followed for at each asymmetry: none is the last."""
+    return torch.full(asymmetry.shape, EVERY_ORDER)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +52,14 @@ class TableNodes:
         extinction: nodes `(extinction,)` [1/m], rising, positive.
         asymmetry_anchors: subset or superset of the nodes that directions are drawn from `(anchor,)`.
         extinction_anchors: likewise for free flights `(anchor,)` [1/m].
+        last_order: gives for asymmetries the last order that is traced; paths of an anchor end there, and nodes get no more.
     """
 
     asymmetry: Tensor
     extinction: Tensor
     asymmetry_anchors: Tensor
     extinction_anchors: Tensor
+    last_order: Callable[[Tensor], Tensor] = every_order
 
     @property
     def asymmetry_odds(self) -> Tensor:
@@ -174,11 +184,15 @@ class _Tracer:
     def connect(self, paths: _Paths, order: int, probability: float) -> VertexWeights:
         """Weights of vertices that are connected to the sun; `probability` is that of having come there and being connected."""
         log_phase = paths.log_phase + _log_phase((paths.direction @ self.sun)[:, None], self.nodes.asymmetry)
-        log_sampled = torch.logsumexp(paths.log_sampled + self.nodes.asymmetry_odds.log().float(), dim=1, keepdim=True)
+        nodes = self.nodes
+        going = nodes.last_order(nodes.asymmetry_anchors) >= order
+        odds = torch.where(going, nodes.asymmetry_odds, 0.0).log().float()
+        log_sampled = torch.logsumexp(paths.log_sampled + odds, dim=1, keepdim=True)
         of_extinction = _extinction_factor(
             self.grid, order, paths.position, self.sun, self.nodes, paths.passed, self.step
         )
-        return VertexWeights(order, paths.path, (log_phase - log_sampled).exp(), of_extinction / probability)
+        of_asymmetry = (log_phase - log_sampled).exp() * (nodes.last_order(nodes.asymmetry) >= order)
+        return VertexWeights(order, paths.path, of_asymmetry, of_extinction / probability)
 
 
 def sample_paths(
@@ -215,7 +229,8 @@ def sample_paths(
     for order, (continuation, connection) in enumerate(
         zip(plan.continuation.tolist(), plan.connection.tolist(), strict=True), start=2
     ):
-        paths = paths.keep(tracer.happens(paths, Draw.CONTINUATION, order, continuation))
+        goes_on = tracer.happens(paths, Draw.CONTINUATION, order, continuation)
+        paths = paths.keep(goes_on & (nodes.last_order(asymmetry[paths.path]) >= order))
         reached *= continuation
         odds = connection * branch_probability(asymmetry[paths.path].double())
         branching = paths.keep(tracer.happens(paths, Draw.BRANCH, order, odds))

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
+from precompute.carried_orders import POINTS_SHARE, CarriedOrders, last_traced_orders
 from precompute.error_budget import (
     OMITTED_SHARE,
     Effort,
@@ -104,8 +105,10 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     plan, effort = plan_orders(pilot.plan.knots[pilot.enough - 1]), pilot.suited(task.effort)
     lattice, importance = _place_points(view, strata, effort.points)
     clock.lap("source points")
-    table = task.source_table(lattice, plan, 1)
-    table.add_pass(allocate_paths(importance, effort.first_paths), lambda share: report(0.1 + 0.2 * share))
+    carried = task.carry(plan, round(POINTS_SHARE * effort.points), lambda share: report(0.1 + 0.1 * share))
+    clock.lap("carried orders")
+    table = _path_table(task, lattice, plan, carried)
+    table.add_pass(allocate_paths(importance, effort.first_paths), lambda share: report(0.2 + 0.1 * share))
     clock.lap("paths")
     entry = torch.zeros(lattice.size, dtype=torch.int32)
     entry[table.numbers] = torch.arange(len(table.numbers), dtype=torch.int32)
@@ -113,7 +116,7 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     probe = ErrorProbe(view, lattice, entry, strata, once, task.asymmetry, plan, task.albedo, effort.tail)
     surroundings = measure_surroundings(view.grid, view.camera, view.sun, lattice.positions(table.numbers))
     clock.lap("source model")
-    smoother = _Smoother(table, probe, surroundings, task.extinction)
+    smoother = _Smoother(table, carried, probe, surroundings, task.extinction)
     reason = _add_passes(task, table, importance, smoother, clock, report)
     multiple, errors = _gather(view, lattice, entry, strata, smoother)
     clock.lap("images")
@@ -127,22 +130,42 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
         torch.stack([one.of_knots for one in errors], dim=2).to(torch.float32),
         image_error.to(torch.float32),
         torch.stack([one.of_bright for one in errors], dim=1).to(torch.float32),
-        table.effective_share,
+        _shares_of_all(table, plan),
         _describe(task, plan, pilot.omitted, table, box_error(image_error), reason, clock),
     )
 
 
-class _Smoother:
-    """Smooths what a table holds at the time."""
+def _path_table(task: GroupTask, lattice: Lattice, plan: OrderPlan, carried: CarriedOrders | None) -> SourceTable:
+    """Empty table of the orders that are not carried."""
+    if carried is None:
+        return task.source_table(lattice, plan, task.nodes(), 1)
+    last = min(int(last_traced_orders(task.asymmetry).max()), plan.largest_order)
+    return task.source_table(lattice, plan.until(last), task.nodes(last_traced_orders), 1)
 
-    def __init__(self, table: SourceTable, probe: ErrorProbe, surroundings: Surroundings, extinction: Tensor) -> None:
-        self._table, self._probe, self._surroundings, self._extinction = table, probe, surroundings, extinction
+
+class _Smoother:
+    """Smooths what a table of paths holds at the time, with the orders that were carried."""
+
+    def __init__(
+        self,
+        table: SourceTable,
+        carried: CarriedOrders | None,
+        probe: ErrorProbe,
+        surroundings: Surroundings,
+        extinction: Tensor,
+    ) -> None:
+        self._table, self._carried, self._probe = table, carried, probe
+        self._surroundings, self._extinction = surroundings, extinction
 
     def every_node(self) -> Iterator[SmoothSource]:
         """The source at each extinction."""
         table = self._table
         neighbours = find_neighbours(table.lattice, table.numbers, table.paths)
-        for node, source in enumerate(table.source):
+        for node, of_paths in enumerate(table.source):
+            source = of_paths
+            if self._carried is not None:
+                source = self._carried.at(node, table.lattice.positions(table.numbers))
+                source[:, :, : of_paths.shape[2]] += of_paths
             model = SourceModel(self._surroundings.features(float(self._extinction[node])), table.paths)
             yield self._probe.smooth(node, source, neighbours, model)
 
@@ -247,7 +270,7 @@ def _fly_pilot(task: GroupTask, strata: Strata, single: Tensor) -> Pilot:
     rays = probe_rays(len(task.view.pixel))
     view, part = task.view.part(rays), strata.part(rays)
     lattice, importance = _place_points(view, part, PILOT_POINTS)
-    table = task.source_table(lattice, plan, 0)
+    table = task.source_table(lattice, plan, task.nodes(), 0)
     table.add_pass(allocate_paths(importance, PILOT_PATHS))
     entry = torch.zeros(lattice.size, dtype=torch.int32)
     entry[table.numbers] = torch.arange(len(table.numbers), dtype=torch.int32)
@@ -303,6 +326,12 @@ def _single_only(task: GroupTask, single: Tensor, multiple: Tensor, pilot: Pilot
     error = torch.full((len(task.albedo), *nodes), pilot.omitted)
     report = _describe(task, None, pilot.omitted, None, pilot.omitted, StopReason.SINGLE, clock)
     return GroupImages(single, multiple, torch.zeros(0, *nodes), error, error[0], torch.zeros(0, *nodes), report)
+
+
+def _shares_of_all(table: SourceTable, plan: OrderPlan) -> Tensor:
+    """Effective share of the paths for each image; one for those that have none."""
+    share = table.effective_share
+    return torch.cat([share, torch.ones(len(plan.knots) - len(share), *share.shape[1:])])
 
 
 def _describe(

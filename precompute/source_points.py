@@ -134,7 +134,8 @@ class SourceTable:
     def effective_share(self) -> Tensor:
         """Effective sample size over number of paths per node `(knot, asymmetry, extinction)`, averaged over passes."""
         # Vertices of one path may share an image, which makes its sum more even than their squares say.
-        return (self._sums / self._squares.clamp(min=1e-300)).clamp(max=1.0).to(torch.float32)
+        share = torch.where(self._squares > 0, self._sums / self._squares.clamp(min=1e-300), 1.0)
+        return share.clamp(max=1.0).to(torch.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +203,8 @@ def _trace_batch_fused(
         nodes.asymmetry,
         nodes.asymmetry_anchors,
         nodes.asymmetry_odds,
+        nodes.last_order(nodes.asymmetry),
+        nodes.last_order(nodes.asymmetry_anchors),
         nodes.extinction,
         nodes.extinction_anchors,
         plan.continuation,

@@ -24,10 +24,10 @@ from render.atmosphere.ray_geometry import clamp_cosine, horizon_cosine, sine_fr
 from render.atmosphere.ray_quadrature import RayNodes, place_nodes
 from render.atmosphere.shells import Shells, cut_into_shells
 from render.atmosphere.source_function import SourceFunction
-from render.atmosphere.spherical_harmonics import compute_phase_moments
 from render.atmosphere.sun_columns import SunColumns, build_sun_columns
 from render.cornette_shanks import evaluate_cornette_shanks
 from render.errors import ParameterError
+from render.spherical_harmonics import compute_phase_moments
 
 Progress = Callable[[str, float], None]
 """Is told a stage and its share done, 0..1."""

@@ -32,15 +32,15 @@ from render.atmosphere.source_function import (
     look_up_source,
     sun_angle_nodes,
 )
-from render.atmosphere.spherical_harmonics import (
-    compute_phase_moments,
-    degrees_of_harmonics,
-    evaluate_even_harmonics,
-)
 from render.atmosphere.sun_columns import SunColumns
 from render.cornette_shanks import evaluate_cornette_shanks
 from render.errors import ParameterError
 from render.rayleigh_phase import evaluate_rayleigh_phase
+from render.spherical_harmonics import (
+    compute_phase_moments,
+    degrees_of_harmonics,
+    evaluate_even_harmonics,
+)
 
 
 @dataclass(frozen=True)

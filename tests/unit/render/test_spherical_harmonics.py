@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from render.atmosphere.spherical_harmonics import (
+from render.cornette_shanks import evaluate_cornette_shanks
+from render.phase_functions import evaluate_phase_function
+from render.rayleigh_phase import evaluate_rayleigh_phase
+from render.spherical_harmonics import (
     compute_phase_moments,
     degrees_of_harmonics,
     evaluate_even_harmonics,
 )
-from render.cornette_shanks import evaluate_cornette_shanks
-from render.phase_functions import evaluate_phase_function
-from render.rayleigh_phase import evaluate_rayleigh_phase
 
 DEGREE = 20
 

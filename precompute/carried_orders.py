@@ -1,0 +1,285 @@
+"""High scattering orders, carried from one order to the next on a lattice instead of followed along paths.
+
+The source of order k + 1 at a point x is what flights from there gather of order k,
+
+    J_(k+1)(x, v) = integral of p(v . d) L_k(x, d) dd,        L_k(x, d) = mean of J_k(x', d) over the flights from x along d,
+
+and a flight ends at x' with the density s rho exp(-s u), or leaves the volume. One flight a direction is drawn at every point of a lattice
+(`light_lattice`), and serves all orders and asymmetries: after k orders a value is the mean over directions^k paths, where a path
+tracer has one. The angular part is kept in harmonics, of which scattering multiplies those of degree l by g^l.
+
+Three things keep the error from growing with the order. Interpolation neither spreads nor loses light (`LightLattice.sharpen`). The
+distances of the flights of one point are a low-discrepancy sequence over its directions. And orders take turns between sets of directions
+that are turned at random: with one set, what it misses in one order it misses in all, and the largest eigenvalue of a disturbed operator
+lies too high on average; at g = 0.6 and depth 15, orders 19 to 34 came out 11 per cent too bright with 72 directions, 1 per cent with two sets of 32.
+
+What truncated harmonics cannot hold, a forward lobe, has become round after some orders: k scatterings have the asymmetry g^k. So
+paths are followed up to an order that depends on g (`last_traced_orders`), and those beyond are carried. The method is that of successive orders in
+spherical harmonics and discrete ordinates (Evans 1998, "The spherical harmonics discrete ordinate method for three-dimensional
+atmospheric radiative transfer"), with drawn flights for its short characteristics.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import embedding_bag
+
+from precompute.direction_sets import DirectionSet, turned_directions
+from precompute.free_flight import fly, march_to_sun
+from precompute.in_threads import map_in_threads
+from precompute.light_lattice import LightLattice, light_lattice_over, spacing_for
+from precompute.order_plan import LARGEST_RATIO, SEPARATE_ORDERS, OrderPlan, place_knots
+from precompute.path_sampler import EVERY_ORDER
+from precompute.view import View
+from render.density_grid import DensityGrid
+from render.fused import fused_loops_wanted
+from render.random_streams import counter_keys, counter_uniform, stream_number
+from render.spherical_harmonics import degrees_of_harmonics, evaluate_harmonics
+
+DEGREE = 3
+"""Of the harmonics."""
+
+SETS = 2
+"""Of directions that orders take turns with, in each half."""
+
+CELL_DEPTH, DEEPEST_CELL = 1.4, 2.0
+"""Optical depth of the densest cell between lattice points that is aimed at, and beyond which paths are better."""
+
+COARSEST = 4.0
+"""Spacing of the lattice in voxels, however thin the cloud."""
+
+POINTS_SHARE = 0.4
+"""Points of the lattice over source points, at most."""
+
+ROUND = 0.015
+"""Share |g|^(k (DEGREE + 1)) of what the harmonics leave out of order k, from which on that order is carried."""
+
+LAST_CARRIED = 66
+"""Orders beyond have the shape of this one, and fall like k^(-3/2) r^k."""
+
+FAINT = 1e-4
+"""Share of the light so far that an order adds below which the rest is left to that law."""
+
+MEAN_SPREAD = torch.tensor([1.0 / 12.0])
+"""Half of w (1 - w) on average over a cell, for places that are anywhere."""
+
+STEPS = (0.7548776662466927, 0.5698402909980532)
+"""Of the flights' quantiles from direction to direction: a lattice in two dimensions (Roberts 2018, "The unreasonable effectiveness of quasirandom
+sequences")."""
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedOrders:
+    """The source of the orders that were carried.
+
+    Args:
+        lattice: of the points.
+        source: J, sharpened, `(extinction, half, point, knot, asymmetry)` [1/sr], for unit sunlight and albedo one.
+    """
+
+    lattice: LightLattice
+    source: Tensor
+
+    def at(self, node: int, position: Tensor) -> Tensor:
+        """J at positions `(position, 3)` [m] at one extinction: `(position, half, knot, asymmetry)`."""
+        numbers, weights = self.lattice.corners(position)
+        halves = [
+            embedding_bag(numbers, half.flatten(1), per_sample_weights=weights, mode="sum").unflatten(1, half.shape[1:])
+            for half in self.source[node]
+        ]
+        return torch.stack(halves, dim=1)
+
+
+def last_traced_orders(asymmetry: Tensor) -> Tensor:
+    """Last order for which a forward lobe needs paths, for each asymmetry: knots of `plan_orders`, at least the last order of its own."""
+    size = asymmetry.double().abs().clamp(1e-6, 1.0 - 1e-6)
+    needed = (math.log(ROUND) / size.log() / (DEGREE + 1)).ceil().long()
+    knots = torch.tensor([knot for knot in place_knots(EVERY_ORDER) if knot >= SEPARATE_ORDERS])
+    return knots[torch.searchsorted(knots, needed).clamp(max=len(knots) - 1)]
+
+
+def resolving_lattice(grid: DensityGrid, extinction: float, points: int) -> LightLattice | None:
+    """Lattice that resolves the mean free paths at an extinction [1/m] with so many points, about; None if they are too few."""
+    lattice = light_lattice_over(grid, min(COARSEST, spacing_for(grid, extinction, CELL_DEPTH)), points)
+    cell_depth = extinction * grid.maximum * float(lattice.lattice.spacing.max())
+    return lattice if cell_depth <= DEEPEST_CELL else None
+
+
+def carry_orders(
+    view: View,
+    lattice: LightLattice,
+    asymmetry: Tensor,
+    extinction: Tensor,
+    plan: OrderPlan,
+    step: float,
+    seed: int,
+    on_progress: Callable[[float], None] = lambda share: None,
+) -> CarriedOrders:
+    """The source of all orders beyond `last_traced_orders`, in two independent halves.
+
+    Args:
+        view: volume, camera and sun.
+        lattice: to carry them on.
+        asymmetry: nodes `(asymmetry,)`.
+        extinction: nodes `(extinction,)` [1/m].
+        plan: all orders and their images.
+        step: longest marching step in voxels.
+        seed: of the random numbers.
+        on_progress: called with the share that is done.
+    """
+    count = SETS + len(lattice.numbers)
+    keys = [counter_keys(stream_number(seed, half), torch.arange(count)) for half in range(2)]
+    draws = [counter_uniform(of_half[:SETS, None].expand(-1, 3), torch.arange(3).expand(SETS, -1)) for of_half in keys]
+    sets = [[turned_directions(DEGREE, turn) for turn in of_half] for of_half in draws]
+
+    def carry(piece: int) -> Tensor:
+        node, half = divmod(piece, 2)
+        carrier = _Carrier(view, lattice, float(extinction[node]), step, sets[half], keys[half][SETS:])
+        source = carrier.carry(asymmetry, plan)
+        return lattice.sharpen(source.flatten(1), MEAN_SPREAD).view_as(source)
+
+    pieces = map_in_threads(carry, 2 * len(extinction), lambda done: on_progress(0.5 * done / len(extinction)))
+    source = torch.stack(pieces).unflatten(0, (-1, 2))
+    return CarriedOrders(lattice, source)
+
+
+@dataclass(frozen=True, eq=False)
+class _Flights:
+    """Where flights from each point end, one along each direction.
+
+    Args:
+        cell: lattice point at the low corner of that place `(direction, point)` int32; -1 where the flight left the volume.
+        fraction: along x, y and z within the cell, in ten bits each `(direction, point)` int32.
+        spread: of interpolation around each point, see `LightLattice.sharpen` `(point,)`.
+    """
+
+    cell: Tensor
+    fraction: Tensor
+    spread: Tensor
+
+
+class _Carrier:
+    """Carries orders at one extinction."""
+
+    def __init__(
+        self, view: View, lattice: LightLattice, extinction: float, step: float, sets: list[DirectionSet], keys: Tensor
+    ) -> None:
+        self._view, self._lattice, self._extinction, self._step = view, lattice, extinction, step
+        self._sets = sets
+        self._flights = [self._draw(one, counter_uniform(keys, turn)) for turn, one in enumerate(sets)]
+
+    def _draw(self, directions: DirectionSet, shift: Tensor) -> _Flights:
+        """One flight from each point along each direction; `shift` `(point,)` in 0..1 is its own of each point."""
+        position, counts = self._lattice.positions, torch.tensor(self._lattice.lattice.counts)
+        around = 2 * (DEGREE + 1)
+        cells, fractions, ends = [], [], []
+        for number, direction in enumerate(directions.direction):
+            moved = shift.double() + number // around * STEPS[0] + number % around * STEPS[1]
+            share = (moved % 1.0).clamp(2.0**-30, 1.0 - 2.0**-30)
+            target = (-torch.log1p(-share) / self._extinction).float()
+            flight = fly(self._view.grid, position, direction.expand_as(position).contiguous(), target, self._step)
+            place = (flight.position - self._lattice.lattice.corner) / self._lattice.lattice.spacing
+            cell = place.int().clamp(min=0).minimum((counts - 2).clamp(min=0).int())
+            within = ((place - cell).clamp(0.0, 1.0) * 1023.0).round().int()
+            low = cell[:, 0] + int(counts[0]) * (cell[:, 1] + int(counts[1]) * cell[:, 2])
+            cells.append(torch.where(flight.collided, low, -1))
+            ends.append(flight.position[flight.collided])
+            fractions.append(within[:, 0] + (within[:, 1] << 10) + (within[:, 2] << 20))
+        return _Flights(torch.stack(cells), torch.stack(fractions), self._lattice.measure_spread(ends))
+
+    def carry(self, asymmetry: Tensor, plan: OrderPlan) -> Tensor:
+        """J of the orders beyond those traced `(point, knot, asymmetry)`."""
+        view, position, traced = self._view, self._lattice.positions, last_traced_orders(asymmetry)
+        damping = asymmetry ** degrees_of_harmonics(DEGREE, odd=True)[:, None].float()
+        towards = evaluate_harmonics(view.camera.directions_at(position).double(), DEGREE).float().T
+        sun = evaluate_harmonics(view.sun.double(), DEGREE).float()
+        length = march_to_sun(view.grid, position, view.sun, torch.tensor(self._extinction), self._step)
+        light = (sun[:, None] * damping)[:, None] * torch.exp(-self._extinction * length)[:, None]
+        space, source = _Space.like(light, len(self._sets[0].direction)), torch.empty_like(light[0])
+        found = torch.zeros(len(plan.knots), len(position), len(asymmetry))
+        energy: list[Tensor] = []
+        last = min(plan.largest_order, LAST_CARRIED)
+        for order in range(2, last + 1):
+            self._scatter(light, damping, order % SETS, space)
+            torch.mul(light[0], towards[0, :, None], out=source)
+            for one, harmonic in zip(light[1:], towards[1:], strict=True):
+                source.addcmul_(one, harmonic[:, None])
+            energy.append(source.mean(0, dtype=torch.float64))
+            shares = plan.shares[order - 2].float()[:, None] * (order > traced)
+            for knot in torch.nonzero(shares.any(1)).flatten().tolist():
+                found[knot].addcmul_(source, shares[knot])
+            if order > traced.max() and bool((energy[-1].abs() <= FAINT * torch.stack(energy).sum(0)).all()):
+                break
+        return self._extend(found, source, torch.stack(energy), plan).movedim(0, 1).contiguous()
+
+    def _scatter(self, light: Tensor, damping: Tensor, turn: int, space: "_Space") -> None:
+        """The next order of light `(harmonic, point, asymmetry)`, in its place."""
+        directions, flights = self._sets[turn], self._flights[turn]
+        fused = fused_loops_wanted(light)
+        sharpen, gather = (_sharpen_fused, _gather_fused) if fused else (_sharpen, _gather)
+        sharpen(self._lattice, light, flights.spread, space.sharp)
+        torch.mm(directions.harmonics, space.sharp.flatten(1), out=space.along.flatten(1))
+        gather(self._lattice, space.along, flights, space.brought)
+        torch.mm(directions.projection, space.brought.flatten(1), out=light.flatten(1))
+        light.mul_(damping[:, None])
+
+    def _extend(self, found: Tensor, source: Tensor, energy: Tensor, plan: OrderPlan) -> Tensor:
+        """Add the orders beyond the last that was carried, which have its shape."""
+        last = len(energy) + 1
+        if last >= plan.largest_order:
+            return found
+        middle = (last + 1) // 2
+        decay = energy[-1] / energy[middle - 2].clamp(min=1e-300)
+        ratio = (decay * (last / middle) ** 1.5) ** (1.0 / (last - middle))
+        beyond = torch.arange(last + 1, plan.largest_order + 1, dtype=torch.float64)
+        falling = ratio.clamp(0.0, LARGEST_RATIO)[:, None] ** (beyond - last) * (beyond / last) ** -1.5
+        shares = (falling @ plan.shares[last - 1 :]).float()
+        return found.addcmul_(source, shares.T[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class _Space:
+    """Memory for one order: sharpened light `(harmonic, point, asymmetry)`, light along directions, and what flights bring of it."""
+
+    sharp: Tensor
+    along: Tensor
+    brought: Tensor
+
+    @classmethod
+    def like(cls, light: Tensor, directions: int) -> "_Space":
+        along = light.new_empty(directions, *light.shape[1:])
+        return cls(torch.empty_like(light), along, torch.empty_like(along))
+
+
+def _sharpen(lattice: LightLattice, light: Tensor, spread: Tensor, sharp: Tensor) -> None:
+    for values, result in zip(light, sharp, strict=True):
+        result.copy_(lattice.sharpen(values, spread))
+
+
+def _sharpen_fused(lattice: LightLattice, light: Tensor, spread: Tensor, sharp: Tensor) -> None:
+    from precompute.fused_gather import sharpen_light  # needs numba
+
+    sharpen_light(light, lattice.neighbours, spread, sharp)
+
+
+def _gather(lattice: LightLattice, along: Tensor, flights: _Flights, brought: Tensor) -> None:
+    """Values where the flights end."""
+    box = lattice.lattice
+    nx, ny, _ = box.counts
+    for values, cell, fraction, result in zip(along, flights.cell, flights.fraction, brought, strict=True):
+        low = cell.clamp(min=0)
+        place = torch.stack([low % nx, low // nx % ny, low // (nx * ny)], dim=-1)
+        within = torch.stack([fraction & 1023, fraction >> 10 & 1023, fraction >> 20], dim=-1) / 1023.0
+        numbers, weights = lattice.corners(box.corner + (place + within) * box.spacing)
+        weights = weights * (cell >= 0)[:, None]
+        result.copy_(embedding_bag(numbers, values, per_sample_weights=weights, mode="sum"))
+
+
+def _gather_fused(lattice: LightLattice, along: Tensor, flights: _Flights, brought: Tensor) -> None:
+    from precompute.fused_gather import gather_flights  # needs numba
+
+    counts = torch.tensor(lattice.lattice.counts)
+    gather_flights(along, lattice.entry, counts, flights.cell, flights.fraction, brought)
