@@ -9,9 +9,10 @@ import torch
 pytest.importorskip("numba")
 
 from precompute import fused_paths, source_points
+from precompute.carried_orders import last_traced_orders
 from precompute.gather import lattice_over
 from precompute.order_plan import plan_orders
-from precompute.path_sampler import TableNodes
+from precompute.path_sampler import TableNodes, every_order
 from precompute.source_points import SourcePoints, SourceTable
 from render.density_grid import DensityGrid
 from render.fused import fused_loops_wanted, torch_loops_only
@@ -43,6 +44,7 @@ class Case:
     points: int = 6
     paths: int = 64
     seed: int = 1
+    last_order: Callable[[torch.Tensor], torch.Tensor] = every_order
 
 
 def trace(case: Case) -> SourceTable:
@@ -50,7 +52,7 @@ def trace(case: Case) -> SourceTable:
     lattice = lattice_over(grid, 1.0)
     asymmetry, extinction = torch.tensor(case.asymmetry), torch.tensor(case.extinction)
     anchors = extinction if case.anchors is None else torch.tensor(case.anchors)
-    nodes = TableNodes(asymmetry, extinction, asymmetry, anchors)
+    nodes = TableNodes(asymmetry, extinction, asymmetry, anchors, case.last_order)
     numbers = torch.linspace(0, lattice.size - 1, min(case.points, lattice.size)).long()
     table = SourceTable(
         grid, view_north(), towards(50.0, 25.0), lattice, nodes, plan_orders(case.orders), 0.5, case.seed
@@ -141,3 +143,22 @@ def test_the_sun_at_the_zenith_and_at_the_nadir() -> None:
                 table.add_pass(points)
             tables.append(table.source)
         torch.testing.assert_close(tables[0], tables[1], rtol=1e-4, atol=1e-6)
+
+
+def short_for_round_lobes(asymmetry: torch.Tensor) -> torch.Tensor:
+    return torch.where(asymmetry.abs() < 0.5, 3, 10)
+
+
+@pytest.mark.parametrize("last_order", [short_for_round_lobes, last_traced_orders])
+@pytest.mark.parametrize("name", ["noise", "one voxel thick"])
+def test_asymmetries_end_where_they_do_in_torch(name: str, last_order: Callable[[torch.Tensor], torch.Tensor]) -> None:
+    case = Case(name, orders=18, last_order=last_order)
+    assert difference(case) < 6e-5
+    assert difference(case, Case(name, orders=18)) > 1e-2
+    # Images of the knots beyond its last order are black for a node, and lit for others.
+    table = trace(case)
+    lit = (table.source > 0.0).any(0).any(0).any(0)
+    last = last_order(torch.tensor(case.asymmetry))
+    for row, knot in enumerate(table.plan.knots):
+        below = table.plan.knots[row - 1] if row else 0
+        assert torch.equal(lit[row], last > below)

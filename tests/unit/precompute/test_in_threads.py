@@ -1,11 +1,13 @@
 """Pieces in threads: in order, the same as one after the other, and an error of one is an error of all."""
 
 import threading
+from contextvars import ContextVar
 
 import pytest
 import torch
 
 from precompute.in_threads import map_in_threads
+from render.fused import fused_loops_wanted, torch_loops_only
 
 
 @pytest.fixture(params=[1, 3])
@@ -45,3 +47,31 @@ def test_an_error_ends_the_rest(threads: int) -> None:
         map_in_threads(fail, 1000)
     assert len(begun) < 1000
     assert torch.get_num_threads() == threads
+
+
+shade: ContextVar[str] = ContextVar("shade", default="white")
+
+
+def test_the_calling_context_reaches_every_piece(threads: int) -> None:
+    token = shade.set("grey")
+    try:
+        assert map_in_threads(lambda number: shade.get(), 5) == ["grey"] * 5
+    finally:
+        shade.reset(token)
+    assert map_in_threads(lambda number: shade.get(), 5) == ["white"] * 5
+
+
+def test_torch_loops_alone_are_used_by_every_piece(threads: int) -> None:
+    with torch_loops_only():
+        assert map_in_threads(lambda number: fused_loops_wanted(), 5) == [False] * 5
+    assert map_in_threads(lambda number: fused_loops_wanted(), 5) == [fused_loops_wanted()] * 5
+
+
+def test_pieces_keep_the_context_that_they_change_from_the_caller() -> None:
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        map_in_threads(lambda number: shade.set("black"), 5)
+    finally:
+        torch.set_num_threads(before)
+    assert shade.get() == "white"

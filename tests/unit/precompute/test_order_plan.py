@@ -12,6 +12,7 @@ from precompute.order_plan import (
     LARGEST_RATIO,
     SEPARATE_ORDERS,
     close_tail,
+    place_knots,
     plan_orders,
 )
 
@@ -171,3 +172,33 @@ def test_any_noise_gives_a_tail_within_bounds(largest: int) -> None:
     assert float(ratio[-1]) == pytest.approx(LARGEST_RATIO)
     assert float(share.min()) > 0.0
     assert float(share.max()) <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("largest", KNOTS)
+def test_knots_are_placed_as_in_the_plan(largest: int) -> None:
+    assert tuple(place_knots(largest)) == KNOTS[largest]
+
+
+@pytest.mark.parametrize("largest", [66, 130, 2000])
+def test_knots_of_fewer_orders_are_the_first_ones_but_for_the_last(largest: int) -> None:
+    every = place_knots(1 << 30)
+    assert place_knots(largest)[:-1] == every[: len(place_knots(largest)) - 1]
+    assert (largest in every) is (largest == 66)
+
+
+@pytest.mark.parametrize("last", [2, 4, 6, 18, 66])
+def test_a_plan_until_a_knot_is_the_plan_of_that_many_orders(last: int) -> None:
+    part, alone = plan_orders(66).until(last), plan_orders(last)
+    assert part.knots == alone.knots
+    assert part.largest_order == last
+    assert torch.equal(part.shares, alone.shares)
+    assert torch.equal(part.continuation, alone.continuation)
+    assert torch.equal(part.connection, alone.connection)
+    assert part.shares.shape == (last - 1, len(part.knots))
+    torch.testing.assert_close(part.shares.sum(1), torch.ones(last - 1, dtype=torch.float64))
+    assert last == 66 or not torch.equal(plan_orders(66).shares, part.shares)
+
+
+def test_a_plan_until_an_order_between_knots_is_none() -> None:
+    with pytest.raises(ValueError, match="not in tuple"):
+        plan_orders(66).until(7)

@@ -226,3 +226,40 @@ def test_z_scores_of_the_shared_paths_are_normal_on_the_whole() -> None:
     first, second = (moments(draw(nodes_of(), seed=seed)) for seed in (21, 22))
     z = z_scores(first[0] - second[0], first[1] + second[1])
     assert 0.3 < float(z.square().mean()) < 2.5
+
+
+def end_round_lobes(asymmetry: torch.Tensor) -> torch.Tensor:
+    """Order 3 is the last of the first two asymmetries of the table."""
+    return torch.where(asymmetry.abs() < 0.5, 3, 1 << 30)
+
+
+def test_asymmetries_get_nothing_beyond_their_last_order() -> None:
+    for vertex in draw(dataclasses.replace(nodes_of(), last_order=end_round_lobes), 5000):
+        lit = (vertex.asymmetry_factor > 0.0).any(0)
+        assert lit.tolist() == [vertex.order <= 3, vertex.order <= 3, True, True]
+
+
+def test_paths_of_an_anchor_end_after_its_last_order() -> None:
+    short = draw(dataclasses.replace(nodes_of([-0.3, 0.2]), last_order=end_round_lobes), 5000)
+    assert {vertex.order for vertex in short if len(vertex.path)} == {2, 3}
+    whole, mixed = draw(nodes_of(), 5000), draw(dataclasses.replace(nodes_of(), last_order=end_round_lobes), 5000)
+    for all_, some in zip(whole, mixed, strict=True):
+        if all_.order <= 3:
+            assert torch.equal(all_.path, some.path)
+            torch.testing.assert_close(all_.asymmetry_factor, some.asymmetry_factor)
+        else:
+            assert set(some.path.tolist()) < set(all_.path.tolist())
+
+
+def test_traced_orders_keep_their_means_where_others_end() -> None:
+    mean, variance = moments(draw(nodes_of(), seed=31))
+    nodes = dataclasses.replace(nodes_of(), last_order=end_round_lobes)
+    found, found_variance = moments(draw(nodes, seed=32))
+    difference, spread = found - mean, variance + found_variance
+    assert passes_z_test(difference[:2], spread[:2])
+    assert passes_z_test(difference[2, 2:], spread[2, 2:])
+    # Paths of the other anchors do not reach order four: with the odds of all anchors it would be too dark by theirs.
+    going = float(nodes.asymmetry_odds[2:].sum())
+    assert 0.7 < going < 0.8
+    assert not passes_z_test(going * found[2, 2:] - mean[2, 2:], going**2 * found_variance[2, 2:] + variance[2, 2:])
+    assert not found[2, :2].any()

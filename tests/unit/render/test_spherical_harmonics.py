@@ -13,6 +13,7 @@ from render.spherical_harmonics import (
     compute_phase_moments,
     degrees_of_harmonics,
     evaluate_even_harmonics,
+    evaluate_harmonics,
 )
 
 DEGREE = 20
@@ -68,3 +69,61 @@ def test_degrees_stand_in_the_order_of_the_harmonics() -> None:
     assert degrees_of_harmonics(2).tolist() == [0, 1, 2, 1, 2, 2]
     top = evaluate_even_harmonics(torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64), 2)
     assert top.tolist() == pytest.approx([math.sqrt((2 * l + 1) / (4.0 * math.pi)) for l in (0, 1, 2)] + [0.0] * 3)  # noqa: E741
+
+
+def unit_vectors(count: int, seed: int) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.nn.functional.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=1)
+
+
+def test_all_harmonics_are_orthonormal() -> None:
+    degree = 6
+    cosine, azimuth, weight = sphere(degree + 1, 2 * degree + 2)
+    sine = (1.0 - cosine**2).sqrt()
+    direction = torch.stack([sine * azimuth.cos(), sine * azimuth.sin(), cosine.expand(-1, len(azimuth))], dim=-1)
+    values = evaluate_harmonics(direction, degree)
+    assert values.shape == (*direction.shape[:2], (degree + 1) ** 2)
+    products = torch.einsum("pti,ptj,pt->ij", values, values, weight)
+    one = torch.eye((degree + 1) ** 2, dtype=torch.float64)
+    torch.testing.assert_close(products, one, atol=1e-12, rtol=0.0)
+    swapped = evaluate_harmonics(direction[..., [1, 0, 2]], degree)
+    wrong = torch.einsum("pti,ptj,pt->ij", values, swapped, weight)
+    assert float((wrong - one).abs().max()) > 0.5
+
+
+@pytest.mark.parametrize("asymmetry", [0.0, 0.5, -0.6])
+def test_addition_theorem_of_any_two_directions(asymmetry: float) -> None:
+    """Sums of g^l Y_lm Y_lm are the phase function between the directions: no plane of symmetry is needed."""
+    first, second = unit_vectors(50, 1), unit_vectors(50, 2)
+    products = evaluate_harmonics(first, 40) * evaluate_harmonics(second, 40)
+    found = products @ torch.tensor(asymmetry, dtype=torch.float64) ** degrees_of_harmonics(40, odd=True)
+    exact = evaluate_phase_function((first * second).sum(1), asymmetry)
+    torch.testing.assert_close(found, exact, atol=1e-6, rtol=0.0)
+    assert float((found - evaluate_phase_function((first * second).sum(1), asymmetry + 0.01)).abs().max()) > 1e-4
+
+
+def test_all_harmonics_begin_with_the_even_ones() -> None:
+    direction = unit_vectors(20, 3)
+    azimuth = torch.atan2(direction[:, 1], direction[:, 0])
+    even = evaluate_even_harmonics(direction[:, 2], azimuth, 3)
+    found = evaluate_harmonics(direction, 3)
+    torch.testing.assert_close(found[:, :10], even)
+    # A mirror image in y changes the sign of the others and of nothing else.
+    mirrored = evaluate_harmonics(direction * torch.tensor([1.0, -1.0, 1.0]), 3)
+    torch.testing.assert_close(mirrored[:, :10], even)
+    torch.testing.assert_close(mirrored[:, 10:], -found[:, 10:])
+    assert float(found[:, 10:].abs().amax(0).min()) > 0.1
+
+
+def test_poles_have_harmonics_too() -> None:
+    for sign in (1.0, -1.0):
+        pole = evaluate_harmonics(torch.tensor([0.0, 0.0, sign], dtype=torch.float64), 2)
+        of_zero = [math.sqrt((2 * l + 1) / (4.0 * math.pi)) * sign**l for l in (0, 1, 2)]  # noqa: E741
+        assert pole.tolist() == pytest.approx(of_zero + [0.0] * 6)
+
+
+def test_degrees_of_all_harmonics_repeat_those_that_are_odd() -> None:
+    assert degrees_of_harmonics(2, odd=True).tolist() == [0, 1, 2, 1, 2, 2, 1, 2, 2]
+    assert degrees_of_harmonics(0, odd=True).tolist() == [0]
+    counts = degrees_of_harmonics(5, odd=True).bincount()
+    assert counts.tolist() == [2 * l + 1 for l in range(6)]  # noqa: E741

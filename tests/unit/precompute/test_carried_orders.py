@@ -1,0 +1,331 @@
+"""Carried orders: light is neither lost nor made, agrees with the reference path tracer, and does not depend on how it is computed."""
+
+import math
+from collections.abc import Iterator
+from functools import cache
+
+import pytest
+import torch
+
+from precompute import carried_orders
+from precompute.carried_orders import (
+    DEGREE,
+    CarriedOrders,
+    carry_orders,
+    last_traced_orders,
+    resolving_lattice,
+)
+from precompute.light_lattice import LightLattice, light_lattice_over
+from precompute.order_plan import OrderPlan, place_knots, plan_orders
+from precompute.path_sampler import EVERY_ORDER
+from precompute.view import View, view_of
+from render.camera import OrthographicCamera
+from render.density_grid import DensityGrid
+from render.fused import fused_loops_wanted, torch_loops_only
+from render.path_tracer import ReferenceImage, trace_reference
+from render.procedural_cloud import build_cumulus
+from render.ray_march import compute_optical_length
+from render.spherical_harmonics import degrees_of_harmonics, evaluate_harmonics
+from tests.support.carried import plan_every_order, render_carried
+from tests.support.volumes import noise_box, towards, uniform_box, view_north
+
+SUN = towards(140.0, 35.0)
+ASYMMETRY = torch.tensor([-0.3, 0.0, 0.5])
+EXTINCTION = torch.tensor([0.4, 1.0])
+
+
+def carry(
+    grid: DensityGrid,
+    asymmetry: torch.Tensor = ASYMMETRY,
+    extinction: torch.Tensor = EXTINCTION,
+    plan: OrderPlan | None = None,
+    seed: int = 0,
+    spacing: float = 1.0,
+) -> CarriedOrders:
+    lattice = light_lattice_over(grid, spacing, 3000)
+    view = view_of(grid, view_north(4, 4, 6.0), SUN)
+    return carry_orders(view, lattice, asymmetry, extinction, plan or plan_orders(18), 0.5, seed)
+
+
+@pytest.mark.parametrize(
+    ("asymmetry", "order"), [(0.0, 4), (0.3, 4), (0.5, 4), (0.8, 6), (0.95, 34), (0.99, 258), (-0.8, 6), (-0.95, 34)]
+)
+def test_a_forward_lobe_is_traced_until_it_is_round(asymmetry: float, order: int) -> None:
+    found = int(last_traced_orders(torch.tensor([asymmetry]))[0])
+    assert found == order
+    left_out = abs(asymmetry) ** (found * (DEGREE + 1))
+    assert left_out <= carried_orders.ROUND
+    # The knot before would not do, or is none.
+    knots = place_knots(EVERY_ORDER)
+    before = knots[knots.index(found) - 1]
+    assert before < 4 or abs(asymmetry) ** (before * (DEGREE + 1)) > carried_orders.ROUND
+
+
+def test_last_traced_orders_rise_with_the_lobe_and_are_knots() -> None:
+    asymmetry = torch.linspace(-0.999, 0.999, 801)
+    found = last_traced_orders(asymmetry)
+    assert set(found.tolist()) <= set(place_knots(EVERY_ORDER))
+    assert torch.equal(found, found.flip(0))
+    assert (found[400:].diff() >= 0).all()
+    assert len(found.unique()) > 6
+
+
+def test_a_lattice_that_does_not_resolve_free_paths_is_none() -> None:
+    grid = noise_box(12)
+    assert resolving_lattice(grid, 1.0, 3000) is not None
+    assert resolving_lattice(grid, 1.0, 100) is None
+    thin = resolving_lattice(grid, 0.1, 300)
+    assert thin is not None
+    assert len(thin.numbers) <= 330
+    cell_depth = 0.1 * grid.maximum * float(thin.lattice.spacing.max())
+    assert cell_depth <= carried_orders.DEEPEST_CELL
+    assert resolving_lattice(grid, 2.1, 10_000) is None
+
+
+@pytest.mark.skipif(not fused_loops_wanted(), reason="the fused loops are turned off")
+@pytest.mark.parametrize("grid", [noise_box(), noise_box(9, sparse=0.8), uniform_box(voxels=(4, 1, 6))])
+def test_fused_and_torch_carry_the_same(grid: DensityGrid) -> None:
+    fused = carry(grid).source
+    with torch_loops_only():
+        plain = carry(grid).source
+    largest = plain.amax((2, 3), keepdim=True)
+    assert float(((fused - plain).abs() / largest).max()) < 2e-4
+    other = carry(grid, extinction=1.01 * EXTINCTION).source
+    assert float(((other - plain).abs() / largest).max()) > 2e-3
+
+
+def test_threads_are_no_part_of_the_result() -> None:
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            found.append(carry(noise_box()).source)
+    finally:
+        torch.set_num_threads(before)
+    torch.testing.assert_close(found[0], found[1], rtol=1e-5, atol=1e-9)
+    assert not torch.equal(found[0][:, 0], found[0][:, 1])
+
+
+def test_halves_and_seeds_differ_by_noise_alone() -> None:
+    """Two halves have random numbers of their own; points differ by 13 to 40 per cent, means over them by a few."""
+    first, other = (carry(noise_box(), plan=plan_orders(10), seed=seed).source.sum(3) for seed in (0, 1))
+    for one, two in ((first[:, 0], first[:, 1]), (first[:, 0], other[:, 0])):
+        spread = (one - two).square().mean(1).sqrt() / one.mean(1)
+        assert (spread > 1e-3).all()
+        assert (spread < 0.1).all()
+        torch.testing.assert_close(one.mean(1), two.mean(1), rtol=0.04, atol=0.0)
+    assert torch.equal(first, carry(noise_box(), plan=plan_orders(10), seed=0).source.sum(3))
+
+
+def test_shapes_and_progress() -> None:
+    told: list[float] = []
+    lattice = light_lattice_over(noise_box(), 1.0, 3000)
+    view = view_of(noise_box(), view_north(4, 4, 6.0), SUN)
+    plan = plan_orders(10)
+    carried = carry_orders(view, lattice, ASYMMETRY, EXTINCTION, plan, 0.5, 0, told.append)
+    assert carried.source.shape == (2, 2, len(lattice.numbers), len(plan.knots), 3)
+    assert carried.at(1, torch.zeros(7, 3)).shape == (7, 2, len(plan.knots), 3)
+    assert told == [0.25, 0.5, 0.75, 1.0]
+    at_points = carried.at(1, lattice.positions).movedim(1, 0)
+    torch.testing.assert_close(at_points, carried.source[1], rtol=1e-4, atol=1e-7)
+    assert not torch.allclose(at_points, carried.source[0], rtol=1e-2)
+
+
+def test_traced_orders_are_left_out() -> None:
+    """With an image for every order, those up to the last that is traced are black, and the next is not."""
+    asymmetry = torch.tensor([-0.8, 0.0, 0.5, 0.85])
+    source = carry(noise_box(), asymmetry, EXTINCTION[1:], plan_every_order(14)).source[0, 0].mean(0)
+    for column, last in enumerate(last_traced_orders(asymmetry).tolist()):
+        lit = source[:, column] > 0.0
+        assert lit.tolist() == [order > last for order in range(2, 15)]
+
+
+def test_knots_hold_the_shares_of_their_orders() -> None:
+    every = carry(noise_box(), plan=plan_every_order(18)).source
+    plan = plan_orders(18)
+    shared = torch.einsum("shpoa,ok->shpka", every.double(), plan.shares).float()
+    found = carry(noise_box(), plan=plan).source
+    torch.testing.assert_close(found, shared, rtol=1e-4, atol=1e-6)
+    assert not torch.allclose(found, shared.roll(1, 3), rtol=1e-1)
+
+
+# One order at a time, in a uniform cube with known chords.
+
+CUBE, CUBE_DEPTH = uniform_box((6.0, 6.0, 6.0), (12, 12, 12)), 8.0
+
+
+def scatter_once(light: torch.Tensor, asymmetry: float, depth: float) -> tuple[LightLattice, torch.Tensor]:
+    """The next order of light `(harmonic,)` that is the same everywhere in the cube: `(harmonic, point)`, mean of eight sets."""
+    lattice, extinction = light_lattice_over(CUBE, 1.0, 10_000), depth / 6.0
+    view = view_of(CUBE, view_north(), SUN)
+    count = len(lattice.numbers)
+    keys = carried_orders.counter_keys(3, torch.arange(count))
+    turns = torch.rand(8, 3, generator=torch.Generator().manual_seed(2))
+    sets = [carried_orders.turned_directions(DEGREE, turn) for turn in turns]
+    carrier = carried_orders._Carrier(view, lattice, extinction, 0.5, sets, keys)
+    damping = torch.tensor([asymmetry]) ** degrees_of_harmonics(DEGREE, odd=True)[:, None]
+    results = []
+    for turn in range(8):
+        values = light[:, None, None].expand(-1, count, 1).clone()
+        carrier._scatter(values, damping, turn, carried_orders._Space.like(values, len(sets[0].direction)))
+        results.append(values[..., 0])
+    return lattice, torch.stack(results).mean(0)
+
+
+def collided_share(positions: torch.Tensor, extinction: float) -> torch.Tensor:
+    """Share of the flights from points `(point, 3)` of the cube that end inside: one less the mean transmittance of the chords."""
+    directions = torch.nn.functional.normalize(torch.randn(4000, 3, generator=torch.Generator().manual_seed(5)), dim=1)
+    chord = ((3.0 - positions[:, None] * directions.sign()) / directions.abs()).amin(-1)
+    return 1.0 - torch.exp(-extinction * chord).mean(1)
+
+
+@pytest.mark.parametrize("depth", [2.0, CUBE_DEPTH])
+def test_an_even_field_loses_what_flies_out(depth: float) -> None:
+    light = torch.zeros((DEGREE + 1) ** 2)
+    light[0] = 1.0
+    lattice, found = scatter_once(light, 0.6, depth)
+    for factor, right in ((1.0, True), (1.1, False)):
+        exact = collided_share(lattice.positions, factor * depth / 6.0)
+        # 256 flights of each point, and 1728 points.
+        assert (abs(float((found[0] - exact).mean())) < 3e-3) is right
+        assert float((found[0] - exact).square().mean().sqrt()) < 0.06
+
+
+@pytest.mark.parametrize("asymmetry", [0.6, -0.4, 0.0])
+def test_deep_inside_each_harmonic_is_damped_by_its_moment(asymmetry: float) -> None:
+    """In the middle of 60 mean free paths no flight leaves, and scattering multiplies degree l by g^l: nothing goes to others."""
+    direction = torch.nn.functional.normalize(torch.tensor([0.3, -0.5, 0.8], dtype=torch.float64), dim=0)
+    light = evaluate_harmonics(direction, DEGREE).float()
+    lattice, found = scatter_once(light, asymmetry, 60.0)
+    inner = found[:, lattice.positions.abs().amax(1) < 1.0]
+    degrees = degrees_of_harmonics(DEGREE, odd=True)
+    exact = (torch.tensor(asymmetry) ** degrees * light)[:, None].expand_as(inner)
+    torch.testing.assert_close(inner, exact, atol=2e-5, rtol=0.0)
+    assert not torch.allclose(inner, (torch.tensor(asymmetry + 0.01) ** degrees * light)[:, None], atol=1e-3)
+
+
+def test_no_order_is_brighter_than_the_one_before_at_its_brightest() -> None:
+    """Each value of isotropic light is a mean of the order before, so neither its largest value nor, in a thick box, its sum rises."""
+    source = carry(CUBE, torch.zeros(1), torch.tensor([4.0]), plan_every_order(30)).source[0, ..., 0].mean(0)
+    orders = source[:, 3:]
+    largest, total = orders.amax(0), orders.mean(0).double()
+    assert (largest[1:] <= 1.005 * largest[:-1]).all()
+    ratio = total[1:] / total[:-1]
+    assert (ratio < 1.0).all()
+    # Escape from the lit surface slows down as light diffuses inwards: like k^(-3/2) for the flux, k^(-1/2) for what is inside.
+    assert (ratio[4:] > 0.9).all()
+    assert float(ratio[-1]) > float(ratio[0])
+    numbers = torch.arange(5, 5 + len(total), dtype=torch.float64)
+    slope = torch.log(total[-1] / total[8]) / torch.log(numbers[-1] / numbers[8])
+    assert -0.75 < float(slope) < -0.4
+
+
+@pytest.mark.parametrize("depth", [1e-4, 10.0, 1000.0, 1e5])
+def test_any_depth_stays_finite_and_within_bounds(depth: float) -> None:
+    grid, lobes = noise_box(), torch.tensor([-0.95, 0.0, 0.9])
+    source = carry(grid, lobes, torch.tensor([depth / 6.0]), plan_orders(258)).source
+    assert torch.isfinite(source).all()
+    # No order of isotropic light is brighter than the sun's, 1 / (4 pi) where the sun shines fully; half as much again for sharpening.
+    assert float(source[..., 1].abs().max()) < 1.5 / (4.0 * math.pi) * 254.0
+    assert bool((source[..., 1].amax() > 1e-3) == (depth == 10.0))
+
+
+@pytest.mark.parametrize("depth", [0.01, 0.1, 1.0])
+def test_orders_without_light_have_no_tail(depth: float) -> None:
+    """In a thin box the orders behind a lobe are noise of either sign; the tail of a negative one is no number, that of one far too bright."""
+    lobes = torch.tensor([-0.95, -0.6, 0.0, 0.9])
+    for seed in range(2):
+        for lobe in lobes:
+            source = carry(noise_box(4), lobe[None], torch.tensor([depth / 4.0]), plan_orders(66), seed).source
+            assert torch.isfinite(source).all()
+            # A tail at the slowest decay that is allowed would hold the last order many times.
+            first_knots, last_knot = source[..., :-1, :].abs().amax(), source[..., -1, :].abs().amax()
+            assert float(last_knot) <= 0.1 * float(first_knots)
+
+
+# Against the reference path tracer.
+
+CLOUD_ASYMMETRY = 0.3
+
+
+@cache
+def cloud_view() -> View:
+    grid = build_cumulus(24, seed=3)
+    centre, radius = grid.centre, grid.radius
+    eye = (float(centre[0]), float(centre[1]) - 4.0 * radius, float(centre[2]))
+    target = (float(centre[0]), float(centre[1]), float(centre[2]))
+    return view_of(grid, OrthographicCamera(eye, target, 1.2 * radius, 8, 8), SUN)
+
+
+@cache
+def reference(extinction: float) -> ReferenceImage:
+    view = cloud_view()
+    arguments = {"asymmetry": CLOUD_ASYMMETRY, "albedo": 1.0, "orders": 18, "samples": 4000}
+    return trace_reference(view.grid, view.camera, view.sun, extinction=extinction, **arguments)  # type: ignore[arg-type]
+
+
+def relative_errors() -> tuple[float, float]:
+    """Errors of orders 5 to 18 at an optical depth of 8, over the reference: of the mean image, and RMS over pixels."""
+    view = cloud_view()
+    extinction = torch.tensor([8.0 / view.largest_optical_length])
+    exact = reference(float(extinction)).orders[4:].sum(0)[view.pixel]
+    found = []
+    for seed in range(4):
+        lattice = resolving_lattice(view.grid, float(extinction), 3000)
+        assert lattice is not None
+        asymmetry = torch.tensor([CLOUD_ASYMMETRY])
+        carried = carry_orders(view, lattice, asymmetry, extinction, plan_orders(18), 0.5, seed)
+        found.append(render_carried(carried, view, extinction, 0)[..., 0].mean(0))
+    image = torch.stack(found).mean(0)
+    return float(image.mean() / exact.mean() - 1.0), float((image - exact).square().mean().sqrt() / exact.mean())
+
+
+def test_a_cloud_is_that_of_the_reference_path_tracer() -> None:
+    of_mean, of_pixels = relative_errors()
+    # Four runs and the reference have a noise of 1 per cent each in the mean, the reference one of 5 per cent in a pixel.
+    assert abs(of_mean) < 0.03
+    assert of_pixels < 0.08
+
+
+def without_spread(self: LightLattice, positions: Iterator[torch.Tensor]) -> torch.Tensor:
+    for _ in positions:
+        continue
+    return torch.zeros(len(self.numbers))
+
+
+def test_without_sharpening_light_leaks_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LightLattice, "measure_spread", without_spread)
+    assert relative_errors()[0] < -0.06
+
+
+@pytest.mark.parametrize("factor", [0, -1])
+def test_a_wrong_damping_gives_another_cloud(factor: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exponents 0 keep all light as it flies; -1 makes degree l brighter instead of fainter."""
+    right = carried_orders.degrees_of_harmonics
+    monkeypatch.setattr(carried_orders, "degrees_of_harmonics", lambda degree, odd: factor * right(degree, odd=odd))
+    of_mean = relative_errors()[0]
+    assert not abs(of_mean) < 0.3
+
+
+def test_the_orders_beyond_the_last_carried_follow_its_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    grid, plan = noise_box(8), plan_orders(66)
+    arguments = (grid, ASYMMETRY, torch.tensor([3.0]), plan)
+    whole = carry(*arguments).source.sum(3).mean((0, 1, 2))
+    monkeypatch.setattr(carried_orders, "LAST_CARRIED", 24)
+    extended = carry(*arguments).source.sum(3).mean((0, 1, 2))
+    torch.testing.assert_close(extended, whole, rtol=0.02, atol=0.0)
+    monkeypatch.setattr(carried_orders._Carrier, "_extend", lambda self, found, source, energy, plan: found)
+    cut = carry(*arguments).source.sum(3).mean((0, 1, 2))
+    assert (cut < 0.95 * whole).all()
+
+
+def test_faint_orders_end_early_without_a_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+    thin = torch.tensor([0.05])
+    arguments = (noise_box(), ASYMMETRY, thin, plan_orders(66))
+    early = carry(*arguments).source
+    monkeypatch.setattr(carried_orders, "FAINT", 0.0)
+    whole = carry(*arguments).source
+    total = whole.sum(3).mean((0, 1, 2))
+    torch.testing.assert_close(early.sum(3).mean((0, 1, 2)), total, rtol=0.02, atol=0.0)
+    assert not torch.equal(early, whole)
+    assert math.isfinite(float(total.sum()))
