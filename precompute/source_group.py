@@ -329,8 +329,8 @@ def _single_only(task: GroupTask, single: Tensor, multiple: Tensor, pilot: Pilot
 
 
 def _shares_of_all(table: SourceTable, plan: OrderPlan) -> Tensor:
-    """Effective share of the paths for each image; one for those that have none."""
-    share = table.effective_share
+    """Effective share of the paths for each image; one for those that no path adds to."""
+    share = torch.where(table.effective_share > 0.0, table.effective_share, 1.0)
     return torch.cat([share, torch.ones(len(plan.knots) - len(share), *share.shape[1:])])
 
 
