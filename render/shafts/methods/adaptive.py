@@ -18,13 +18,14 @@ from render.shafts.air import Air
 from render.shafts.bilateral import ReducedFrame, fill_frame
 from render.shafts.epipolar_sampling import EpipolarSettings
 from render.shafts.fog_bank import insert_bank_edges
+from render.shafts.lamp_steps import edges_towards_lamp
 from render.shafts.lights import Lighting
 from render.shafts.march import ShadowLooks
 from render.shafts.methods.base import Gathered, Method, check_steps
 from render.shafts.methods.engelhardt2010 import refine_lines
 from render.shafts.methods.epipolar_light import LineMarcher, describe, gather_along_lines
 from render.shafts.methods.marching import EdgeRule, march_rays
-from render.shafts.rays import ViewRays, edges_towards_lamp
+from render.shafts.rays import ViewRays
 from render.shafts.stage import Clock, Stage
 from render.shafts.step_schedule import StepSchedule
 
