@@ -21,7 +21,7 @@ BANK = 3.0
 def moment(x: float) -> float:
     """(1 - exp(-x)) / x for x of at least 0; the series is exact to 1e-11 where it is used."""
     if x < 0.06:
-        return 1.0 - x * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0 - x / 720.0))))
+        return 1.0 - x * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0 - x * (1.0 / 720.0)))))
     return (1.0 - np.exp(-x)) / x
 
 
@@ -49,6 +49,19 @@ def grey_depth(layers: Doubles, m: int, first: float, last: float, length: float
         return extinction * part * (top - 0.5 * (inner_low + inner_high)) / (top - base)
     reference, scale = layers[m, 4], layers[m, 5]
     return extinction * part * np.exp((reference - inner_low) / scale) * moment((inner_high - inner_low) / scale)
+
+
+@loop
+def grey_extinction(layers: Doubles, m: int, height: float) -> float:
+    """Extinction of one layer at a height."""
+    kind, extinction, base, top = layers[m, 0], layers[m, 1], layers[m, 2], layers[m, 3]
+    if not base <= height <= top:
+        return 0.0
+    if kind == 0.0:
+        return extinction
+    if kind == 1.0:
+        return extinction * (top - height) / (top - base)
+    return extinction * np.exp((layers[m, 4] - height) / layers[m, 5])
 
 
 @loop

@@ -22,6 +22,8 @@ CHUNK = 1 << 10
 """Rays of one call."""
 
 loop = njit(**OPTIONS)
+# A call that hands on a dozen arrays costs more than what these compute.
+inlined = njit(inline="always", **OPTIONS)
 
 
 @loop
@@ -44,7 +46,7 @@ Work = tuple[Doubles, Doubles, Doubles, Doubles, Doubles, Doubles, Doubles, Doub
 """Numbers of one ray: depth so far, depth and scattered depth of the step, depths to the sun at its ends, what arrives, greys, closest."""
 
 
-@loop
+@inlined
 def _measure_step(
     layers: Doubles, phase: Floats, n: int, low: float, high: float, length: float,
     step: Doubles, source: Doubles, greys: Doubles,
@@ -72,7 +74,7 @@ def _measure_step(
         step[1], source[1], step[2], source[2] = green, scattered_green, blue, scattered_blue
 
 
-@loop
+@inlined
 def _sun_step(
     sun: Sunlight, banks: Banks, layers: Doubles, rays: Floats, n: int, begin: float, end: float, known: bool,
     lit: float, work: Work, light: Doubles,
@@ -97,7 +99,7 @@ def _sun_step(
         sun_low[c] = sun_high[c]
 
 
-@loop
+@inlined
 def _pass_step(before: Doubles, step: Doubles) -> float:
     """Pass a step: the depth behind it, the least of whose channels comes back."""
     least = np.inf
@@ -122,7 +124,7 @@ def _march_ray(
     greys[:] = 1.0  # the last three are what banks leave of a lamp
     low, known, has_sun, foggy = float(rays[n, 2]), False, len(irradiance) > 0, len(banks[2]) > 0
     for k in range(len(lamps)):
-        find_nearest(lamps, k, rays, n, closest)
+        find_nearest(lamps, k, rays, n, float(edges[n, 0]), closest)
     line = sun_line(frame, rays, n)
     for i in range(edges.shape[1] - 1):
         begin, end = float(edges[n, i]), float(edges[n, i + 1])
@@ -172,7 +174,7 @@ def march_fused(
 
     def work(first: int, last: int) -> None:
         numbers = tuple(np.zeros(channels) for _ in range(6))
-        space = (*numbers, np.zeros(3 * len(layers) + 3), np.zeros((len(maps[2]), 2)))
+        space = (*numbers, np.zeros(3 * len(layers) + 3), np.zeros((len(maps[2]), 3)))
         _march(
             lines, borders, layers, sun, maps, banks, deepest, looks.count, looks.halvings, space, np.zeros(3), out,
             first, last,
@@ -189,7 +191,7 @@ def _sun_arrays(air: Air, lighting: Lighting, rays: ViewRays) -> tuple[Floats, D
         phase = np.zeros((len(rays), len(air.particles) + 1), np.float32)
         return phase, np.zeros((2, 3)), np.array([0.0, 1.0]), np.zeros(0)
     cosine = (rays.direction @ rays.direction.new_tensor(sun.light.direction)).clamp(-1.0, 1.0)
-    phases = [part.albedo * part.evaluateevaluate_phase(cosine) for part in air.particles]
+    phases = [part.albedo * part.evaluate_phase(cosine) for part in air.particles]
     phase = torch.stack([*phases, torch.zeros_like(cosine)], dim=1).contiguous().numpy()
     heights = np.array([sun.depth.lowest, sun.depth.spacing])
     return phase, sun.depth.depths.numpy(), heights, np.array(sun.light.irradiance)

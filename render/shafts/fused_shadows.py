@@ -81,65 +81,66 @@ def turn_by(angle: float) -> tuple[float, float]:
     if abs(angle) > 0.5:
         return np.cos(angle), np.sin(angle)
     y = angle * angle
-    cosine = 1.0 - y * (0.5 - y * (1.0 / 24.0 - y * (1.0 / 720.0 - y * (1.0 / 40320.0 - y / 3628800.0))))
-    return cosine, angle * (1.0 - y * (1.0 / 6.0 - y * (1.0 / 120.0 - y * (1.0 / 5040.0 - y / 362880.0))))
+    cosine = 1.0 - y * (0.5 - y * (1.0 / 24.0 - y * (1.0 / 720.0 - y * (1.0 / 40320.0 - y * (1.0 / 3628800.0)))))
+    return cosine, angle * (1.0 - y * (1.0 / 6.0 - y * (1.0 / 120.0 - y * (1.0 / 5040.0 - y * (1.0 / 362880.0)))))
 
 
 @loop
-def _look_at_lamp(cubes: Floats, k: int, line: Line, h: float, c: float, s: float) -> bool:
-    """Whether the place at an angle is lit, by its cosine and sine: its offset from the light is c / h times shorter here."""
+def _look_at_lamp(cubes: Floats, k: int, line: Line, c: float, s: float) -> bool:
+    """Whether the place at an angle is lit, by its cosine and sine; the direction of `line` is as long as h."""
     x, y, z, dx, dy, dz = line
-    c /= h
     return sees_lamp(cubes, k, c * x + s * dx, c * y + s * dy, c * z + s * dz, c * c)
 
 
 @loop
-def lamp_share(
-    cubes: Floats, k: int, line: Line, h: float, begin: float, angle: float, count: int, halvings: int
-) -> float:
-    """The same for point light k, as a share of the angle under which it sees a step.
-
-    `line` starts at the place nearest to the light, whose distance with that of the radius is h; `begin` is counted from there.
-    """
-    away, part, total = 1.0 / np.sqrt(h * h + begin * begin), angle / count, 0.0
-    c, s = h * away, begin * away
-    half_c, half_s = turn_by(0.5 * part)
-    turn_c, turn_s = 1.0 - 2.0 * half_s * half_s, 2.0 * half_c * half_s
-    if halvings == 0:
-        c, s = c * half_c - s * half_s, s * half_c + c * half_s
-        for _ in range(count):
-            total += 1.0 if _look_at_lamp(cubes, k, line, h, c, s) else 0.0
-            c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
-        return total / count
-    before = _look_at_lamp(cubes, k, line, h, c, s)
-    for _ in range(count):
-        next_c, next_s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
-        after = _look_at_lamp(cubes, k, line, h, next_c, next_s)
-        if before == after:
-            total += 1.0 if after else 0.0
-        else:
-            border = _halve_angle(cubes, k, line, h, c, s, next_c, next_s, before, halvings)
-            total += border if before else 1.0 - border
-        before, c, s = after, next_c, next_s
-    return total / count
-
-
-@loop
 def _halve_angle(
-    cubes: Floats, k: int, line: Line, h: float, c: float, s: float, far_c: float, far_s: float, before: bool,
-    halvings: int,
-) -> float:  # fmt: skip
+    cubes: Floats, k: int, line: Line, c: float, s: float, far_c: float, far_s: float, before: bool, halvings: int
+) -> float:
     """Share of an angle before the border of a shadow, one end of it being lit and the other not."""
     low, size = 0.0, 1.0
     for _ in range(halvings):
         middle_c, middle_s = c + far_c, s + far_s
         length = 1.0 / np.sqrt(middle_c * middle_c + middle_s * middle_s)
         middle_c, middle_s, size = middle_c * length, middle_s * length, 0.5 * size
-        if _look_at_lamp(cubes, k, line, h, middle_c, middle_s) == before:
+        if _look_at_lamp(cubes, k, line, middle_c, middle_s) == before:
             c, s, low = middle_c, middle_s, low + size
         else:
             far_c, far_s = middle_c, middle_s
     return low + 0.5 * size
+
+
+@loop
+def lamp_share(
+    cubes: Floats, k: int, line: Line, h: float, s: float, c: float, angle: float, count: int, halvings: int
+) -> float:
+    """The same for point light k, as a share of the angle under which it sees a step.
+
+    `line` starts at the place nearest to the light, whose distance with that of the radius is h; `s` and `c` are the sine and cosine of the
+    angle at which the step begins.
+    """
+    part, total = angle / count, 0.0
+    x, y, z, dx, dy, dz = line
+    # With t = h tan(theta), cos(theta) times the offset from the light is cos(theta) times this place and h sin(theta) times the direction.
+    line = (x, y, z, h * dx, h * dy, h * dz)
+    half_c, half_s = turn_by(0.5 * part)
+    turn_c, turn_s = 1.0 - 2.0 * half_s * half_s, 2.0 * half_c * half_s
+    if halvings == 0:
+        c, s = c * half_c - s * half_s, s * half_c + c * half_s
+        for _ in range(count):
+            total += 1.0 if _look_at_lamp(cubes, k, line, c, s) else 0.0
+            c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
+        return total / count
+    before = _look_at_lamp(cubes, k, line, c, s)
+    for _ in range(count):
+        next_c, next_s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
+        after = _look_at_lamp(cubes, k, line, next_c, next_s)
+        if before == after:
+            total += 1.0 if after else 0.0
+        else:
+            border = _halve_angle(cubes, k, line, c, s, next_c, next_s, before, halvings)
+            total += border if before else 1.0 - border
+        before, c, s = after, next_c, next_s
+    return total / count
 
 
 @loop

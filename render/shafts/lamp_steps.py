@@ -4,9 +4,11 @@ With t the distance along a ray from the place nearest to the lamp and h the dis
 
     dt / (h^2 + t^2) = d(theta) / h,  t = h tan(theta)
 
-so that it is even over the angle, and steps of equal angles have equal light (Kulla & Fajardo 2012, "Importance sampling techniques for path
-tracing in participating media", equiangular sampling). A lamp that is a sphere of radius r has h^2 + r^2 in the place of h^2.
+so that it is even over the angle, and steps of equal angles have equal light (Kulla & Fajardo 2012, "Importance sampling techniques
+for path tracing in participating media", equiangular sampling). A lamp that is a sphere of radius r has h^2 + r^2 in the place of h^2.
 """
+
+import math
 
 import torch
 from torch import Tensor
@@ -34,7 +36,7 @@ def find_closest(rays: ViewRays, position: Vector, radius: float) -> tuple[Tenso
 
 
 def angles_at_lamp(rays: ViewRays, distances: Tensor, position: Vector, radius: float) -> Tensor:
-    """Angles theta `(ray, place)` [rad] of places along rays, 0 nearest to the lamp; float64, for those far from it leave float32 no digits.
+    """Angles theta `(ray, place)` [rad] of places along rays, 0 nearest to the lamp; in float64, for far ones have no digits in float32.
 
     Args:
         rays: any number.
@@ -101,14 +103,15 @@ def inverse_square_mean(rays: ViewRays, edges: Tensor, position: Vector, radius:
 def edges_towards_lamp(rays: ViewRays, position: Vector, radius: float, steps: int) -> Tensor:
     """Borders of steps that subtend equal angles at a lamp, before and behind the place nearest to it.
 
-    Where a ray passes the lamp, that place is a border: there the light turns from forward to backward scattering, next to the lamp at once.
-    The steps are shared between both sides in proportion to their angles, with at least one on each.
+    Where a ray passes the lamp, that place is a border: there the light turns from forward to backward scattering, next to the
+    lamp at once. A ray that subtends half a turn has all of the steps, others as many as their angle asks for; their further steps
+    have no length.
 
     Args:
         rays: any number.
         position: of the lamp [m].
         radius: of the lamp [m], positive.
-        steps: at least 2.
+        steps: of half a turn, at least 2.
 
     Returns:
         `(ray, step + 1)` [m], from 0 to the length of the ray.
@@ -121,15 +124,13 @@ def edges_towards_lamp(rays: ViewRays, position: Vector, radius: float, steps: i
     nearest, aside = find_closest(rays, position, radius)
     h, length = aside.sqrt(), rays.distance[:, None]
     first, last = torch.atan2(-nearest, h), torch.atan2(length - nearest, h)
-    angle = last - first
-    passing = (first < 0.0) & (last > 0.0)
-    wanted = (steps * -first / torch.where(angle > 0.0, angle, 1.0)).round().clamp(1.0, steps - 1.0)
-    # A ray that does not pass the lamp has all of its steps on one side.
-    before = torch.where(passing, wanted, torch.where(first < 0.0, float(steps), 0.0))
-    border = torch.where(passing, 0.0, torch.where(first < 0.0, last, first))
+    border = first.clamp(min=0.0) + last.clamp(max=0.0)
+    before = (steps / math.pi * (border - first)).ceil().clamp(max=steps - 1.0)
+    behind = torch.minimum((steps / math.pi * (last - border)).ceil(), steps - before)
     number = torch.arange(steps + 1, dtype=h.dtype, device=h.device)
-    near = first + (border - first) * (number / before.clamp(min=1.0)).clamp(max=1.0)
-    far = (last - border) * ((number - before) / (steps - before).clamp(min=1.0)).clamp(min=0.0)
-    edges = nearest + h * torch.tan(near + far)
-    edges[:, 0], edges[:, -1] = 0.0, rays.distance
+    near = (border - first) * (number / before.clamp(min=1.0)).clamp(max=1.0)
+    far = (last - border) * ((number - before) / behind.clamp(min=1.0)).clamp(0.0, 1.0)
+    edges = nearest + h * torch.tan(first + near + far)
+    edges = torch.where(number >= before + behind, length, edges)
+    edges[:, 0] = 0.0
     return torch.minimum(edges.clamp(min=0.0), length).cummax(dim=1).values

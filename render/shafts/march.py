@@ -2,19 +2,18 @@
 
 A step of the ray from a to b, of optical depth dtau, adds
 
-    sun:    V dtau_s p(cosine) irradiance  mean of exp(-(tau + A))
-    light:  V dtau_s / (b - a) p(cosine) intensity w exp(-A) mean of exp(-tau)  integral of dt / (d(t)^2 + r^2)
+    sun:   V dtau_s p(cosine) irradiance  mean of exp(-(tau + A))
+    lamp:  V sigma_s p(cosine) intensity w  mean of exp(-(tau + A))  integral of dt / (d(t)^2 + r^2)
 
-with tau the optical depth from the eye, A that to the light through the layers of the air, dtau_s the part of dtau that is scattered, and V
-the share of the step that sees the light (`ShadowLooks`), times exp(-A) of the banks of fog between the middle of the step and the light.
-The means are those of exponents that run evenly, and the last integral is an arc tangent. So
+with tau the optical depth from the eye, A that to the light through the layers of the air, dtau_s the part of dtau that is scattered,
+sigma_s the extinction that scatters, and V the share of the step that sees the light (`ShadowLooks`), times exp(-A) of the banks of fog
+between the middle of the step and the light. The means are those of exponents that run evenly, and the last integral is an arc tangent. So
 a single medium without shadows under the sun comes out exactly, with any number of steps, and the inverse square of a near light costs
 no accuracy: the steps have to resolve shadows and banks of fog, not the layers of the air.
 
-The light of a lamp is spread evenly over the angle under which the lamp sees the step, so all that varies is taken in the middle of that angle
-(Kulla & Fajardo 2012, "Importance sampling techniques for path tracing in participating media"): p, w and A in the place m that it points to, V
-as a share of the angle, and exp(-tau) as the mean over a stretch from a whose middle is m. With exponents that run through the whole step instead,
-a step that is long on its far side would be as dim as its middle, though nearly all of its light comes from next to the lamp.
+The light of a lamp is spread evenly over the angle at which the lamp sees the step (Kulla & Fajardo 2012, "Importance sampling
+techniques for path tracing in participating media"), so all that varies is taken in the middle of that angle, and V is a share of the
+angle. A long step has nearly all of its light next to the lamp: the mean of a factor over its length is not that over its light.
 """
 
 from collections.abc import Callable
@@ -26,7 +25,7 @@ from torch import Tensor
 from render.errors import ParameterError
 from render.fused import fused_loops_wanted
 from render.media.special_functions import exponential_mean
-from render.shafts.air import Air
+from render.shafts.air import Air, Constituent
 from render.shafts.cube_shadow_map import CubeShadowMap
 from render.shafts.fog_bank import Shades, look_up_shade
 from render.shafts.lamp_steps import angles_at_lamp, brightest_places, distances_at_angles, inverse_square_mean
@@ -39,9 +38,9 @@ from render.shafts.shadow_map import ShadowMap
 class ShadowLooks:
     """How the lit share of a step is found.
 
-    Without halvings, shadows are looked up in the middles of `count` equal parts of the step. With halvings they are looked up at the ends
-    of the parts; where one end is lit and the other is not, the border between them is halved in so many times, as if the part held no other
-    border. Parts and middles are those of its length for the sun, and of the angle under which it is seen for a lamp.
+    Without halvings, shadows are looked up in the middles of `count` equal parts of the step. With halvings they are looked up at the
+    ends of the parts; where one end is lit and the other is not, the border between them is halved in so many times, as if the part held
+    no other border. Parts and middles are those of its length for the sun, and of the angle under which it is seen for a lamp.
 
     Args:
         count: parts of a step, at least 1.
@@ -169,26 +168,39 @@ def _point_light(
 ) -> Tensor:
     """Light of a point light that the steps scatter into the rays `(ray, channel)`."""
     light = point.light
-    places = brightest_places(rays, edges, light.position, light.radius)
+    places, length = brightest_places(rays, edges, light.position, light.radius), edges.diff(dim=1)
     middles = rays.points_at(places)
     towards = middles.new_tensor(light.position) - middles
     distance = torch.linalg.vector_norm(towards, dim=-1)
     unit = towards / torch.where(distance > 0.0, distance, 1.0)[..., None]
-    between = air.compute_depth(middles[..., 2], unit[..., 2].clamp(-1.0, 1.0), distance)
-    if air.banks:
-        between = between + look_up_shade(air.banks, point.shades, middles)
-    length = edges.diff(dim=1)
-    share = torch.where(length > 0.0, (places - edges[:, :-1]) / torch.where(length > 0.0, length, 1.0), 0.5)[..., None]
-    end = depth[:, :-1] + 2.0 * share * depth.diff(dim=1)
-    arriving = torch.exp(-between) * exponential_mean(depth[:, :-1], end)
-    spread = inverse_square_mean(rays, edges, light.position, light.radius) * light.window(distance)
-    spread = spread * lit
     cosine = (unit * rays.direction[:, None]).sum(-1).clamp(-1.0, 1.0)
+    between = air.compute_depth(middles[..., 2], unit[..., 2].clamp(-1.0, 1.0), distance)
+    share = torch.where(length > 0.0, (places - edges[:, :-1]) / torch.where(length > 0.0, length, 1.0), 0.5)
+    run = share * length * cosine / torch.where(distance > 0.0, distance, 1.0)
+    arriving = _arriving_from_lamp(depth, between, share[..., None], run[..., None])
+    if air.banks:
+        arriving = arriving * torch.exp(-look_up_shade(air.banks, point.shades, middles))
+    spread = inverse_square_mean(rays, edges, light.position, light.radius) * light.window(distance) * lit
     total = torch.zeros_like(depth[:, 0])
     for part, step in zip(air.particles, steps, strict=True):
+        if isinstance(part, Constituent):
+            step = part.compute_extinction(middles[..., 2]) * length[..., None]
         weight = part.albedo * part.evaluate_phase(cosine) * spread
         total = total + (weight[..., None] * step * arriving).sum(1)
     return total * total.new_tensor(light.intensity)
+
+
+def _arriving_from_lamp(depth: Tensor, between: Tensor, share: Tensor, run: Tensor) -> Tensor:
+    """What is left of the light of a lamp between it, the steps and the eye `(ray, step, channel)` [1].
+
+    Both depths are taken to run evenly along the step around their values in its middle, before which a `share` of it lies: that to the
+    eye by the depth of the step, that to the lamp in proportion to the distance, by a share `run` of it from the beginning to the middle.
+    Their sum does not fall, nor is it ever less than the depth before the step.
+    """
+    inside = share * depth.diff(dim=1)
+    middle = depth[:, :-1] + inside + between
+    half = torch.minimum((inside - run * between).clamp(min=0.0), inside + between)
+    return exponential_mean(middle - half, middle + half)
 
 
 Place = Callable[[Tensor, ViewRays], Tensor]

@@ -26,7 +26,7 @@ def test_the_usual_settings_meet_two_percent() -> None:
         {"looks": ShadowLooks()},
         {"lines": None, "contrast": math.inf, "factor": 6},
         {"steps": 3, "looks": ShadowLooks(2)},
-        {"short_near_lamps": False, "steps": 8},
+        {"lamp_steps": None, "steps": 8},
     ],
 )
 def test_each_part_earns_its_place(switched_off: dict[str, object]) -> None:
