@@ -3,7 +3,7 @@
 What is smooth is computed rarely and what is sharp often. Along a ray, the light that the air would scatter without shadows needs few
 steps (shorter ones near a lamp), each of which looks up the shadows at several places. Across the image few rays are marched: for
 the sun samples on epipolar lines, for lamps one pixel of a block, for the glow around a lamp is no feature of lines. Pixels are marched
-by themselves where the depth jumps or where the light of neighbouring marched pixels differs.
+by themselves where the depth jumps, and for each light where that of neighbouring marched pixels differs.
 """
 
 import math
@@ -32,9 +32,6 @@ from render.shafts.step_schedule import StepSchedule
 SMALLEST_LINES, SMALLEST_SAMPLES = 200, 40
 """Epipolar lines along the height of an image, and marched samples along a line of that length, below which no image goes."""
 
-BANK_STRIDE = 3
-"""So many samples of a line one is marched where there are banks of fog: they vary along the lines as well as across."""
-
 
 @dataclass(frozen=True)
 class Adaptive:
@@ -46,14 +43,14 @@ class Adaptive:
         near_share: share of the steps that the near level has, 0..1; 0 for equal steps.
         near_part: share of the longest ray that the near level covers, 0..1.
         factor: edge of the blocks of which one pixel is marched [pixel]; 1 for every pixel.
-        lines: epipolar lines for the sun; None for blocks.
+        lines: epipolar lines for the sun; None for blocks, as where there are banks of fog.
         depth_tolerance: ratio of depths minus 1 within which pixels belong together.
         contrast: difference of light between neighbouring marched pixels, as a share of the mean light of the image, above which the
             pixels between them are marched; infinite for never.
         spent: transmittance [1] at which a ray is left; 0 for never.
         lamp_steps: of half a turn at a lamp, those of a ray subtending equal angles; None for steps as for the sun.
         lamp_looks: how shadows of lamps are looked up in each step.
-        bank_steps: further steps within each bank of fog, over `steps`; 0 for none.
+        bank_steps: further steps within each bank of fog, over those of the light; 0 for none.
 
     Raises:
         ParameterError: for numbers outside these bounds.
@@ -70,7 +67,7 @@ class Adaptive:
     spent: float = 1e-3
     lamp_steps: int | None = 10
     lamp_looks: ShadowLooks = field(default_factory=lambda: ShadowLooks(4, 4))
-    bank_steps: float = 2.0
+    bank_steps: float = 3.0
 
     def __post_init__(self) -> None:
         for count in (self.steps, self.factor):
@@ -101,10 +98,9 @@ class Adaptive:
             f"{self.steps} steps of {self.looks.count} looks for shadows, borders halved {self.looks.halvings} times"
         ]
         light, blocks = torch.zeros_like(stage.background), stage.lighting
-        if self.lines is not None and blocks.sun is not None:
+        # Banks of fog vary along the lines as well as across them.
+        if self.lines is not None and blocks.sun is not None and not air.banks:
             lines = _limit_lines(self.lines, stage.scene.camera.height)
-            if air.banks:
-                lines = replace(lines, stride=min(lines.stride, BANK_STRIDE))
             light = gather_along_lines(stage, replace(blocks, points=()), lines, marcher, clock)
             blocks = Lighting(points=blocks.points)
             said.append(f"the sun: {describe(lines)}")
@@ -120,14 +116,10 @@ class Adaptive:
             return StepSchedule.uniform(self.steps)
         return StepSchedule.from_ratio(self.steps, self.near_share, 1.0 - self.near_share, self.near_part * longest)
 
-    @property
-    def _steps_in_bank(self) -> int:
-        return round(self.bank_steps * self.steps)
-
     def _edge_rule(self, air: Air, alone: Lighting, schedule: StepSchedule) -> tuple[EdgeRule, int]:
         """Where the steps lie for one light, and how many: as in clear air, and more of them within banks of fog."""
-        in_bank = self._steps_in_bank
         rule, steps = self._clear_rule(alone, schedule)
+        in_bank = round(self.bank_steps * steps)
         return lambda rays: insert_bank_edges(rays, rule(rays), air.banks, in_bank), steps + len(air.banks) * (
             in_bank + 1
         )
