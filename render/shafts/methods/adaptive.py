@@ -29,8 +29,8 @@ from render.shafts.rays import ViewRays
 from render.shafts.stage import Clock, Stage
 from render.shafts.step_schedule import StepSchedule
 
-SMALLEST_LINES, SMALLEST_SAMPLES = 200, 40
-"""Epipolar lines along the height of an image, and marched samples along a line of that length, below which no image goes."""
+SMALLEST_LINES, SMALLEST_SAMPLES, SMALLEST_BLOCKS = 200, 40, 10
+"""Epipolar lines along the height of an image, marched samples along a line of that length, and blocks, below which no image goes."""
 
 
 @dataclass(frozen=True)
@@ -137,10 +137,11 @@ class Adaptive:
     ) -> tuple[Tensor, float]:
         """Light of all pixels, and the share of them that was marched."""
         camera = stage.scene.camera
-        if self.factor == 1:
+        factor = min(self.factor, max(1, camera.height // SMALLEST_BLOCKS))
+        if factor == 1:
             with clock.timed("marching"):
                 return marcher(lights, stage.rays, None), 1.0
-        frame = ReducedFrame(camera.width, camera.height, self.factor)
+        frame = ReducedFrame(camera.width, camera.height, factor)
         separate = lights.separate()
         with clock.timed("marching"):
             some = stage.rays[frame.pixels()]
@@ -168,7 +169,7 @@ class Adaptive:
         grey = marched.mean(-1)[None, None]
         spread = torch.nn.functional.max_pool2d(grey, 3, 1, 1) + torch.nn.functional.max_pool2d(-grey, 3, 1, 1)
         high = (spread > self.contrast * mean)[0, 0]
-        rows, columns = (torch.arange(size) // self.factor for size in (frame.height, frame.width))
+        rows, columns = (torch.arange(size) // frame.factor for size in (frame.height, frame.width))
         return high[rows.clamp(max=high.shape[0] - 1)][:, columns.clamp(max=high.shape[1] - 1)]
 
     def refined(self) -> Self:
