@@ -94,9 +94,7 @@ class Adaptive:
                 light += march_rays(air, alone, rays, rule, steps, self.spent, looks)
             return light
 
-        said = [
-            f"{self.steps} steps of {self.looks.count} looks for shadows, borders halved {self.looks.halvings} times"
-        ]
+        said = [self._describe_steps(stage.lighting)]
         light, blocks = torch.zeros_like(stage.background), stage.lighting
         # Banks of fog vary along the lines as well as across them.
         if self.lines is not None and blocks.sun is not None and not air.banks:
@@ -109,6 +107,15 @@ class Adaptive:
             light = light + more
             said.append(f"{blocks.names}: {marched:.1%} of the rays marched")
         return Gathered(light, tuple(said), seconds=clock.seconds)
+
+    def _describe_steps(self, lighting: Lighting) -> str:
+        """Steps and looks of the lights that there are, in words."""
+        parts = []
+        if lighting.sun is not None or self.lamp_steps is None:
+            parts.append(f"{self.steps} steps of {self.looks.count} looks for shadows")
+        if lighting.points and self.lamp_steps is not None:
+            parts.append(f"{self.lamp_steps} steps of {self.lamp_looks.count} looks for half a turn at a lamp")
+        return ", ".join(parts)
 
     def schedule(self, longest: float) -> StepSchedule:
         """Steps along rays up to a length [m]."""
