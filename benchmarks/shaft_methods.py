@@ -1,7 +1,7 @@
 """Methods of marching side by side: at their usual settings, at three resolutions, in one time, and with the filter's settings."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -58,14 +58,14 @@ def differs(name: str, stage: Stage) -> bool:
     return name != "chen2011" or stage.lighting.sun is not None
 
 
-def list_methods(stage: Stage) -> dict[str, Method]:
-    """Methods with their usual settings and refined."""
+def list_methods(stage: Stage, names: Sequence[str], refined: bool) -> dict[str, Method]:
+    """Methods with their usual settings and, if asked for, refined."""
     methods: dict[str, Method] = {}
-    for name in TIMED:
+    for name in names:
         if not differs(name, stage):
             continue
         methods[name] = METHODS[name]
-        if name != "brute_force":
+        if refined and name != "brute_force":
             methods[f"{name}, refined"] = METHODS[name].refined()
     return methods
 
@@ -75,7 +75,13 @@ def measure_methods(arguments: argparse.Namespace) -> Outcome:
     found, tables = {}, []
     for name in arguments.scenes:
         stage, reference = prepare_judged(name, arguments)
-        methods = compare(list_methods(stage), stage, reference, arguments.repeats, "brute_force")
+        methods = compare(
+            list_methods(stage, arguments.methods, not arguments.usual_only),
+            stage,
+            reference,
+            arguments.repeats,
+            "brute_force",
+        )
         found[name] = {"truth_steps": reference.steps, "truth_pixels": len(reference.pixels), "methods": methods}
         tables.append(method_table(f"{name}, truth of {len(reference.pixels):,} pixels", methods))
         if arguments.out is not None:
