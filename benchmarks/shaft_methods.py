@@ -1,7 +1,7 @@
 """Methods of marching side by side: at their usual settings, at three resolutions, in one time, and with the filter's settings."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from benchmarks.shaft_measures import (
     error_cells,
     judge,
 )
-from render.shafts.methods import METHODS, Ali2017, Biri2006, BruteForce, Chen2011, Froxels, Method
+from render.shafts.methods import METHODS, Adaptive, Ali2017, Biri2006, BruteForce, Chen2011, Froxels, Method
 from render.shafts.scene_file import load_scene
 from render.shafts.stage import Stage, prepare_stage
 
@@ -53,14 +53,19 @@ def prepare_judged(name: str, arguments: argparse.Namespace) -> tuple[Stage, Ref
     return stage, reference
 
 
-def list_methods(stage: Stage) -> dict[str, Method]:
-    """Methods with their usual settings and refined; without a sun, `chen2011` is `engelhardt2010`."""
+def differs(name: str, stage: Stage) -> bool:
+    """Whether a method is one of its own for a scene: without a sun, `chen2011` is `engelhardt2010`."""
+    return name != "chen2011" or stage.lighting.sun is not None
+
+
+def list_methods(stage: Stage, names: Sequence[str], refined: bool) -> dict[str, Method]:
+    """Methods with their usual settings and, if asked for, refined."""
     methods: dict[str, Method] = {}
-    for name in TIMED:
-        if name == "chen2011" and stage.lighting.sun is None:
+    for name in names:
+        if not differs(name, stage):
             continue
         methods[name] = METHODS[name]
-        if name != "brute_force":
+        if refined and name != "brute_force":
             methods[f"{name}, refined"] = METHODS[name].refined()
     return methods
 
@@ -70,7 +75,13 @@ def measure_methods(arguments: argparse.Namespace) -> Outcome:
     found, tables = {}, []
     for name in arguments.scenes:
         stage, reference = prepare_judged(name, arguments)
-        methods = compare(list_methods(stage), stage, reference, arguments.repeats, "brute_force")
+        methods = compare(
+            list_methods(stage, arguments.methods, not arguments.usual_only),
+            stage,
+            reference,
+            arguments.repeats,
+            "brute_force",
+        )
         found[name] = {"truth_steps": reference.steps, "truth_pixels": len(reference.pixels), "methods": methods}
         tables.append(method_table(f"{name}, truth of {len(reference.pixels):,} pixels", methods))
         if arguments.out is not None:
@@ -117,7 +128,7 @@ def measure_resolutions(arguments: argparse.Namespace) -> Outcome:
             stage = prepare(name, arguments, width, height)
             reference = compute_reference(stage, arguments.truth_change, arguments.whole_truth)
             ready = sum(stage.seconds.values()) - stage.seconds["geometry"]
-            methods: dict[str, Method] = {key: METHODS[key] for key in FAST}
+            methods: dict[str, Method] = {key: METHODS[key] for key in FAST if differs(key, stage)}
             measured = compare(methods, stage, reference, arguments.repeats)
             found[name].append({"width": width, "height": height, "ready_seconds": ready, "methods": measured})
             for key, one in measured.items():
@@ -136,7 +147,7 @@ def measure_equal_time(arguments: argparse.Namespace) -> Outcome:
         budget = min(clocked(METHODS["adaptive"], stage)[0] for _ in range(arguments.repeats + 1))
         found[name] = {"budget_seconds": budget, "methods": {}}
         for key in TIMED:
-            if key == "chen2011" and stage.lighting.sun is None:
+            if not differs(key, stage):
                 continue
             one = fill_time(METHODS[key], stage, reference, budget)
             found[name]["methods"][key] = one
@@ -151,14 +162,17 @@ def name_of_steps(method: Method) -> str:
 
 
 def with_steps(method: Any, steps: int) -> Method:
-    """The same method with other steps along a ray."""
-    found: Method = replace(method, **{name_of_steps(method): steps})
+    """The same method with other steps along a ray, those at lamps included."""
+    at_lamps = {"lamp_steps": max(2, steps)} if isinstance(method, Adaptive) else {}
+    found: Method = replace(method, **{name_of_steps(method): steps}, **at_lamps)
     return found
 
 
 def fill_time(method: Method, stage: Stage, reference: Reference, budget: float) -> dict[str, Any]:
     """The most steps that come closest to a time [s], what they took, and their errors; one step where none is short enough."""
-    steps = getattr(method, name_of_steps(method))
+    usual = getattr(method, name_of_steps(method))
+    # The budget is the time of the adaptive method; others begin with few steps, for at their usual ones some take many minutes.
+    steps = usual if isinstance(method, Adaptive) else max(1, usual // 16)
     tried: dict[int, tuple[float, dict[str, float]]] = {}
     for _ in range(AIMS):
         seconds, light = clocked(with_steps(method, steps), stage)

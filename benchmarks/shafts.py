@@ -58,6 +58,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--height", type=int, default=1080)
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument(
+        "--methods",
+        nargs="+",
+        default=shaft_methods.TIMED,
+        choices=shaft_methods.TIMED,
+        help="of the part methods, in their usual settings and refined",
+    )
+    parser.add_argument("--usual-only", action="store_true", help="not refined")
+    parser.add_argument(
         "--repeats", type=int, default=3, help="timings of each method; runs beyond 20 s are not repeated"
     )
     parser.add_argument(

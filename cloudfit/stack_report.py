@@ -19,7 +19,8 @@ def _describe_group(group: Mapping[str, Any]) -> str:
     )
     if group["largest_order"] == 1:
         return f"{depth}: single scattering{omitted} ({group['stop_reason']}), {seconds:.1f} s"
+    carried = f", the high orders carried on {group['carried_points']:,} points" if group["carried_points"] else ""
     return (
         f"{depth}: orders to {group['largest_order']}{omitted}; {group['paths']:,} paths from {group['points']:,} points "
-        f"{group['spacing']:.2g} voxels apart; error {group['error']:.1%} ({group['stop_reason']}), {seconds:.1f} s"
+        f"{group['spacing']:.2g} voxels apart{carried}; error {group['error']:.1%} ({group['stop_reason']}), {seconds:.1f} s"
     )

@@ -85,6 +85,7 @@ class GroupReport:
         omitted_share: of the mean image that the orders left out have, at the node where it is largest; from a pilot.
         points, spacing: source points, and their distance [voxel].
         paths: traced.
+        carried_points: of the lattice on which the higher orders were carried, zero where paths went on to the last.
         error: relative RMS error that eleven of twelve nodes and albedos do not exceed, estimated.
         stop_reason: sentence.
         seconds: by part.
@@ -97,6 +98,7 @@ class GroupReport:
     points: int
     spacing: float
     paths: int
+    carried_points: int
     error: float
     stop_reason: str
     seconds: dict[str, float]

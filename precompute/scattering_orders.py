@@ -22,7 +22,7 @@ from render.scattering_stack import ScatteringTables
 
 Progress = Callable[[str, float], None]
 
-GROUP_EDGES = (2.0, 20.0)
+GROUP_EDGES = (2.0, 20.0, 64.0)
 """Largest optical depths at which a new group of extinction nodes begins."""
 
 DEFAULT_EFFORT = Effort()

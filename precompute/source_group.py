@@ -131,7 +131,7 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
         image_error.to(torch.float32),
         torch.stack([one.of_bright for one in errors], dim=1).to(torch.float32),
         _shares_of_all(table, plan),
-        _describe(task, plan, pilot.omitted, table, box_error(image_error), reason, clock),
+        _describe(task, plan, pilot.omitted, table, carried, box_error(image_error), reason, clock),
     )
 
 
@@ -324,13 +324,13 @@ def _single_only(task: GroupTask, single: Tensor, multiple: Tensor, pilot: Pilot
     """A group whose multiple scattering is not traced."""
     nodes = (len(task.asymmetry), len(task.extinction))
     error = torch.full((len(task.albedo), *nodes), pilot.omitted)
-    report = _describe(task, None, pilot.omitted, None, pilot.omitted, StopReason.SINGLE, clock)
+    report = _describe(task, None, pilot.omitted, None, None, pilot.omitted, StopReason.SINGLE, clock)
     return GroupImages(single, multiple, torch.zeros(0, *nodes), error, error[0], torch.zeros(0, *nodes), report)
 
 
 def _shares_of_all(table: SourceTable, plan: OrderPlan) -> Tensor:
-    """Effective share of the paths for each image; one for those that have none."""
-    share = table.effective_share
+    """Effective share of the paths for each image; one for those that no path adds to."""
+    share = torch.where(table.effective_share > 0.0, table.effective_share, 1.0)
     return torch.cat([share, torch.ones(len(plan.knots) - len(share), *share.shape[1:])])
 
 
@@ -339,6 +339,7 @@ def _describe(
     plan: OrderPlan | None,
     omitted: float,
     table: SourceTable | None,
+    carried: CarriedOrders | None,
     error: float,
     reason: StopReason,
     clock: _Clock,
@@ -353,6 +354,7 @@ def _describe(
         points=0 if table is None else len(table.numbers),
         spacing=0.0 if table is None else float((table.lattice.spacing / grid.voxel_size).max()),
         paths=0 if table is None else int(table.paths.sum()),
+        carried_points=0 if carried is None else len(carried.lattice.numbers),
         error=error,
         stop_reason=reason.value,
         seconds=clock.seconds,

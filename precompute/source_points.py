@@ -134,8 +134,7 @@ class SourceTable:
     def effective_share(self) -> Tensor:
         """Effective sample size over number of paths per node `(knot, asymmetry, extinction)`, averaged over passes."""
         # Vertices of one path may share an image, which makes its sum more even than their squares say.
-        share = torch.where(self._squares > 0, self._sums / self._squares.clamp(min=1e-300), 1.0)
-        return share.clamp(max=1.0).to(torch.float32)
+        return (self._sums / self._squares.clamp(min=1e-300)).clamp(max=1.0).to(torch.float32)
 
 
 @dataclass(frozen=True, eq=False)

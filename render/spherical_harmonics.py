@@ -76,7 +76,7 @@ def _normalised_legendre(cosine: Tensor, degree: int) -> list[list[Tensor]]:
 
 
 def degrees_of_harmonics(degree: int, odd: bool = False) -> Tensor:
-    """The l of each harmonic `(harmonic,)`, int64, in the order of `evaluate_even_harmonics`; with `odd` in that of `evaluate_harmonics`."""
+    """The l of each harmonic `(harmonic,)`, int64, as `evaluate_even_harmonics` orders them; with `odd` as `evaluate_harmonics` does."""
     orders = [*range(degree + 1), *(range(1, degree + 1) if odd else ())]
     return torch.tensor([l for m in orders for l in range(m, degree + 1)])  # noqa: E741
 

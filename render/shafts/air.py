@@ -50,6 +50,14 @@ class Constituent:
         grey = compute_optical_depth(self.medium, height, slope, distance)
         return grey[..., None] * grey.new_tensor(self.colour)
 
+    def compute_extinction(self, height: Tensor) -> Tensor:
+        """Extinction `(..., channel)` [1/m] at heights `(...)` [m]."""
+        medium = self.medium
+        inside = (height >= medium.base) & (height <= medium.top)
+        within = torch.where(inside, height, torch.as_tensor(medium.datum, dtype=height.dtype)) - medium.datum
+        grey = torch.where(inside, medium.extinction_at(within), 0.0)
+        return grey[..., None] * grey.new_tensor(self.colour)
+
 
 @dataclass(frozen=True)
 class Air:

@@ -2,16 +2,21 @@
 
 A step of the ray from a to b, of optical depth dtau, adds
 
-    sun:    V dtau_s p(cosine) irradiance  mean of exp(-(tau + A))
-    light:  V dtau_s / (b - a) p(cosine) intensity w exp(-A) mean of exp(-tau)  integral of dt / (d(t)^2 + r^2)
+    sun:   V dtau_s p(cosine) irradiance  mean of exp(-(tau + A))
+    lamp:  V sigma_s p(cosine) intensity w  mean of exp(-(tau + A))  integral of dt / (d(t)^2 + r^2)
 
-with tau the optical depth from the eye, A that to the light through the layers of the air, dtau_s the part of dtau that is scattered, and V
-the share of the step that sees the light (`ShadowLooks`), times exp(-A) of the banks of fog between the middle of the step and the light.
-The means are those of exponents that run evenly through the step, and the last integral is an arc tangent. So
+with tau the optical depth from the eye, A that to the light through the layers of the air, dtau_s the part of dtau that is scattered,
+sigma_s the extinction that scatters, and V the share of the step that sees the light (`ShadowLooks`), times exp(-A) of the banks of fog
+between the middle of the step and the light. The means are those of exponents that run evenly, and the last integral is an arc tangent. So
 a single medium without shadows under the sun comes out exactly, with any number of steps, and the inverse square of a near light costs
 no accuracy: the steps have to resolve shadows and banks of fog, not the layers of the air.
+
+The light of a lamp is spread evenly over the angle at which the lamp sees the step (Kulla & Fajardo 2012, "Importance sampling
+techniques for path tracing in participating media"), so all that varies is taken in the middle of that angle, and V is a share of the
+angle. A long step has nearly all of its light next to the lamp: the mean of a factor over its length is not that over its light.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -20,9 +25,10 @@ from torch import Tensor
 from render.errors import ParameterError
 from render.fused import fused_loops_wanted
 from render.media.special_functions import exponential_mean
-from render.shafts.air import Air
+from render.shafts.air import Air, Constituent
 from render.shafts.cube_shadow_map import CubeShadowMap
 from render.shafts.fog_bank import Shades, look_up_shade
+from render.shafts.lamp_steps import angles_at_lamp, brightest_places, distances_at_angles, inverse_square_mean
 from render.shafts.lights import AlwaysLit, Lighting, PointInScene, SunInScene, Visibility
 from render.shafts.rays import ViewRays
 from render.shafts.shadow_map import ShadowMap
@@ -32,9 +38,9 @@ from render.shafts.shadow_map import ShadowMap
 class ShadowLooks:
     """How the lit share of a step is found.
 
-    Without halvings, shadows are looked up in the middles of `count` equal parts of the step; the only look of a lamp is where half of its
-    light lies before and half behind. With halvings they are looked up at the ends of the parts; where one end is lit and the other is not,
-    the border between them is halved in so many times, as if the part held no other border.
+    Without halvings, shadows are looked up in the middles of `count` equal parts of the step. With halvings they are looked up at the
+    ends of the parts; where one end is lit and the other is not, the border between them is halved in so many times, as if the part held
+    no other border. Parts and middles are those of its length for the sun, and of the angle under which it is seen for a lamp.
 
     Args:
         count: parts of a step, at least 1.
@@ -119,7 +125,7 @@ def _march(air: Air, lighting: Lighting, rays: ViewRays, edges: Tensor, looks: S
     depth = torch.nn.functional.pad(sum(steps[1:], steps[0]).cumsum(dim=1), (0, 0, 1, 0))
     light = edges.new_zeros(len(rays), 3)
     if lighting.sun is not None:
-        lit = _lit_share(lighting.sun.visibility, rays, edges, looks)
+        lit = _lit_share(lighting.sun.visibility, rays, edges, looks, lambda places, _: places)
         left = lit[..., None] * _bank_transmittance(air, lighting.sun.shades, rays, edges)
         light = light + _sunlight(air, lighting.sun, rays, height, steps, depth, left)
     for point in lighting.points:
@@ -162,111 +168,85 @@ def _point_light(
 ) -> Tensor:
     """Light of a point light that the steps scatter into the rays `(ray, channel)`."""
     light = point.light
-    middles = rays.points_at(brightest_places(rays, edges, light.position, light.radius))
+    places, length = brightest_places(rays, edges, light.position, light.radius), edges.diff(dim=1)
+    middles = rays.points_at(places)
     towards = middles.new_tensor(light.position) - middles
     distance = torch.linalg.vector_norm(towards, dim=-1)
     unit = towards / torch.where(distance > 0.0, distance, 1.0)[..., None]
-    between = air.compute_depth(middles[..., 2], unit[..., 2].clamp(-1.0, 1.0), distance)
-    if air.banks:
-        between = between + look_up_shade(air.banks, point.shades, middles)
-    arriving = torch.exp(-between) * exponential_mean(depth[:, :-1], depth[:, 1:])
-    spread = inverse_square_mean(rays, edges, light.position, light.radius) * light.window(distance)
-    spread = spread * lit
     cosine = (unit * rays.direction[:, None]).sum(-1).clamp(-1.0, 1.0)
+    between = air.compute_depth(middles[..., 2], unit[..., 2].clamp(-1.0, 1.0), distance)
+    share = torch.where(length > 0.0, (places - edges[:, :-1]) / torch.where(length > 0.0, length, 1.0), 0.5)
+    run = share * length * cosine / torch.where(distance > 0.0, distance, 1.0)
+    arriving = _arriving_from_lamp(depth, between, share[..., None], run[..., None])
+    if air.banks:
+        arriving = arriving * torch.exp(-look_up_shade(air.banks, point.shades, middles))
+    spread = inverse_square_mean(rays, edges, light.position, light.radius) * light.window(distance) * lit
     total = torch.zeros_like(depth[:, 0])
     for part, step in zip(air.particles, steps, strict=True):
+        if isinstance(part, Constituent):
+            step = part.compute_extinction(middles[..., 2]) * length[..., None]
         weight = part.albedo * part.evaluate_phase(cosine) * spread
         total = total + (weight[..., None] * step * arriving).sum(1)
     return total * total.new_tensor(light.intensity)
 
 
-def _lit_share(visibility: Visibility, rays: ViewRays, edges: Tensor, looks: ShadowLooks) -> Tensor:
-    """Share of each step that sees a light `(ray, step)` [1]."""
+def _arriving_from_lamp(depth: Tensor, between: Tensor, share: Tensor, run: Tensor) -> Tensor:
+    """What is left of the light of a lamp between it, the steps and the eye `(ray, step, channel)` [1].
+
+    Both depths are taken to run evenly along the step around their values in its middle, before which a `share` of it lies: that to the
+    eye by the depth of the step, that to the lamp in proportion to the distance, by a share `run` of it from the beginning to the middle.
+    Their sum does not fall, nor is it ever less than the depth before the step.
+    """
+    inside = share * depth.diff(dim=1)
+    middle = depth[:, :-1] + inside + between
+    half = torch.minimum((inside - run * between).clamp(min=0.0), inside + between)
+    return exponential_mean(middle - half, middle + half)
+
+
+Place = Callable[[Tensor, ViewRays], Tensor]
+"""From the coordinate `(ray, ...)` in which the parts of a step are equal to the distance along the ray [m]."""
+
+
+def _lit_share(visibility: Visibility, rays: ViewRays, edges: Tensor, looks: ShadowLooks, place: Place) -> Tensor:
+    """Share of each step that sees a light `(ray, step)` [1]; the borders of the steps are in any coordinate."""
     count, between = looks.count, 0.5 if looks.halvings == 0 else 0.0
     share = (torch.arange(count + (0 if between else 1), dtype=edges.dtype) + between) / count
-    places = edges[:, :-1, None] + share * edges.diff(dim=1)[..., None]
-    lit = visibility.look_up_lit(rays.points_at(places.flatten(1)).unflatten(1, places.shape[1:]))
+    parts = edges[:, :-1, None] + share * edges.diff(dim=1)[..., None]
+    places = place(parts.flatten(1), rays)
+    lit = visibility.look_up_lit(rays.points_at(places).unflatten(1, parts.shape[1:]))
     if between:
-        return lit.to(edges.dtype).mean(-1)
-    parts = torch.where(lit[..., 1:] & lit[..., :-1], 1.0, 0.0).to(edges.dtype)
+        return lit.to(rays.origin.dtype).mean(-1)
+    shares = torch.where(lit[..., 1:] & lit[..., :-1], 1.0, 0.0).to(edges.dtype)
     mixed = torch.nonzero(lit[..., 1:] != lit[..., :-1], as_tuple=True)
-    parts[mixed] = _halve(visibility, rays[mixed[0]], places[..., :-1][mixed], places[..., 1:][mixed], looks.halvings)
-    return parts.mean(-1)
+    some = rays[mixed[0]]
+    shares[mixed] = _halve(visibility, some, parts[..., :-1][mixed], parts[..., 1:][mixed], looks.halvings, place)
+    return shares.mean(-1).to(rays.origin.dtype)
 
 
 def _lamp_share(point: PointInScene, rays: ViewRays, edges: Tensor, looks: ShadowLooks) -> Tensor:
-    """The same for a lamp, whose one look is where half of its light lies before and half behind: that may be far from the middle."""
-    if looks != ONE_LOOK:
-        return _lit_share(point.visibility, rays, edges, looks)
-    brightest = brightest_places(rays, edges, point.light.position, point.light.radius)
-    return point.visibility.look_up_lit(rays.points_at(brightest)).to(edges.dtype)
+    """The same for a lamp, as a share of the angle."""
+    position, radius = point.light.position, point.light.radius
+
+    def place(angles: Tensor, some: ViewRays) -> Tensor:
+        return distances_at_angles(some, angles, position, radius).to(some.origin.dtype)
+
+    return _lit_share(point.visibility, rays, angles_at_lamp(rays, edges, position, radius), looks, place)
 
 
-def _halve(visibility: Visibility, rays: ViewRays, first: Tensor, last: Tensor, halvings: int) -> Tensor:
+def _halve(visibility: Visibility, rays: ViewRays, first: Tensor, last: Tensor, halvings: int, place: Place) -> Tensor:
     """Lit share `(ray,)` of stretches of rays that are lit at one end only."""
-    length = last - first
-    starts_lit = visibility.look_up_lit(rays.points_at(first[:, None]))[:, 0]
+
+    def look(share: Tensor) -> Tensor:
+        return visibility.look_up_lit(rays.points_at(place((first + share * (last - first))[:, None], rays)))[:, 0]
+
     low, high = torch.zeros_like(first), torch.ones_like(first)
+    starts_lit = look(low)
     for _ in range(halvings):
         middle = 0.5 * (low + high)
-        same = visibility.look_up_lit(rays.points_at((first + middle * length)[:, None]))[:, 0] == starts_lit
+        same = look(middle) == starts_lit
         low, high = torch.where(same, middle, low), torch.where(same, high, middle)
     border = 0.5 * (low + high)
     return torch.where(starts_lit, border, 1.0 - border)
-
-
-def brightest_places(rays: ViewRays, edges: Tensor, position: tuple[float, float, float], radius: float) -> Tensor:
-    """Places in steps that have half the light of 1 / (d^2 + r^2) before and half behind them.
-
-    They halve the angle that a step subtends at the distance h beside the ray: with the ends u and w along the ray, counted from
-    the place nearest to the point, that is (u sqrt(h^2 + w^2) + w sqrt(h^2 + u^2)) / (sqrt(h^2 + u^2) + sqrt(h^2 + w^2)).
-
-    Args:
-        rays: where the steps lie.
-        edges: borders `(ray, step + 1)` [m].
-        position: of the point [m].
-        radius: r [m], positive.
-
-    Returns:
-        Distances along the rays `(ray, step)` [m].
-    """
-    nearest, aside = _closest(rays, position, radius)
-    along = edges - nearest
-    away = (aside + along.square()).sqrt()
-    u, w, near, far = along[:, :-1], along[:, 1:], away[:, :-1], away[:, 1:]
-    return nearest + (u * far + w * near) / (near + far)
-
-
-def _closest(rays: ViewRays, position: tuple[float, float, float], radius: float) -> tuple[Tensor, Tensor]:
-    """Place along each ray that is nearest to a point [m], and the squared distance there plus that of the radius, each `(ray, 1)`."""
-    offset = rays.origin.new_tensor(position) - rays.origin
-    nearest = (offset * rays.direction).sum(-1, keepdim=True)
-    aside = offset - nearest * rays.direction
-    return nearest, aside.square().sum(-1, keepdim=True) + radius * radius
-
-
-def inverse_square_mean(rays: ViewRays, edges: Tensor, position: tuple[float, float, float], radius: float) -> Tensor:
-    """Mean over each step of 1 / (d^2 + r^2), d the distance to a point.
-
-        integral of dt / (h^2 + t^2) from a to b = atan(h (b - a) / (h^2 + a b)) / h
-
-    with h^2 the squared distance between ray and point, plus r^2.
-
-    Args:
-        rays: where the steps lie.
-        edges: borders `(ray, step + 1)` [m].
-        position: of the point [m].
-        radius: r [m], positive.
-
-    Returns:
-        `(ray, step)` [1/m^2].
-    """
-    nearest, aside = _closest(rays, position, radius)
-    h = aside.sqrt()
-    first, last = edges[:, :-1] - nearest, edges[:, 1:] - nearest
-    length = last - first
-    integral = torch.atan2(h * length, h * h + first * last) / h
-    return torch.where(length > 0.0, integral / torch.where(length > 0.0, length, 1.0), 1.0 / (h * h + first * first))
 
 
 def accumulate_sunlight(air: Air, sun: SunInScene, rays: ViewRays, edges: Tensor) -> Tensor:

@@ -47,26 +47,3 @@ def shifted_edges(rays: ViewRays, steps: int, shift: float) -> Tensor:
     """Borders `(ray, step + 2)` [m] of equal steps that begin a share of a step, 0..1, before the ray does; both end ones are cut."""
     share = (torch.arange(steps + 2, dtype=rays.distance.dtype, device=rays.distance.device) - shift) / steps
     return rays.distance[:, None] * share.clamp(0.0, 1.0)
-
-
-def edges_towards_lamp(rays: ViewRays, position: tuple[float, float, float], radius: float, steps: int) -> Tensor:
-    """Borders of steps that are short near a lamp: half of them are equal, half subtend equal angles at it, in order.
-
-    Args:
-        rays: any number.
-        position: of the lamp [m].
-        radius: of the lamp [m], positive.
-        steps: at least 2.
-
-    Returns:
-        `(ray, step + 1)` [m], from 0 to the length of the ray.
-    """
-    offset = rays.origin.new_tensor(position) - rays.origin
-    nearest = (offset * rays.direction).sum(-1, keepdim=True)
-    aside = (offset - nearest * rays.direction).square().sum(-1, keepdim=True) + radius * radius
-    h, length = aside.sqrt(), rays.distance[:, None]
-    first, last = torch.atan2(-nearest, h), torch.atan2(length - nearest, h)
-    count = steps // 2
-    share = torch.arange(1, count + 1, dtype=h.dtype, device=h.device) / (count + 1)
-    angular = (nearest + h * torch.tan(first + share * (last - first))).clamp(min=0.0)
-    return torch.cat([uniform_edges(rays, steps - count), torch.minimum(angular, length)], dim=1).sort(dim=1).values

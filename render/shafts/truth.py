@@ -101,7 +101,9 @@ def compute_truth(stage: Stage, change: float = 1e-3) -> Truth:
 
 def _march_everything(stage: Stage, steps: int) -> Tensor:
     """Light of steps along the ray of every pixel: equal ones for the sun, shorter ones near a lamp, whose glow equal ones miss."""
-    method = Adaptive(steps, LOOKS, factor=1, lines=None, contrast=math.inf, spent=0.0)
+    method = Adaptive(
+        steps, LOOKS, factor=1, lines=None, contrast=math.inf, spent=0.0, lamp_steps=steps, lamp_looks=LOOKS
+    )
     return method.gather(stage).in_scattering
 
 

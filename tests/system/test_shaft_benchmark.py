@@ -81,6 +81,7 @@ def test_tiles_stand_for_a_large_picture(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_steps_fill_a_time() -> None:
     assert with_steps(METHODS["chen2011"], 7).nodes == 7
     assert with_steps(METHODS["adaptive"], 7).steps == 7
+    assert with_steps(METHODS["adaptive"], 7).lamp_steps == 7
     stage = small_stage(small_scene(64, 48, lamps=False))
     reference = compute_reference(stage, 1e-2)
     few, many = (fill_time(BruteForce(64), stage, reference, budget) for budget in (1e-9, 1.0))

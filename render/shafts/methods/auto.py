@@ -46,7 +46,9 @@ class Auto:
                 skipped.append("the march: one medium under the sun has a closed form")
                 method = BruteForce(steps)
             else:
-                method = replace(self.adaptive, steps=steps, looks=ShadowLooks())
+                method = replace(
+                    self.adaptive, steps=steps, looks=ShadowLooks(), lamp_steps=max(2, steps), lamp_looks=ShadowLooks()
+                )
         gathered = method.gather(stage)
         return replace(gathered, skipped=(*gathered.skipped, *skipped))
 

@@ -16,12 +16,13 @@ import torch
 from torch import Tensor
 
 from render.shafts.air import Air
+from render.shafts.lamp_steps import edges_towards_lamp
 from render.shafts.lights import Lighting, SunInScene, Visibility
 from render.shafts.lit_intervals import LitIntervals, join_touching
 from render.shafts.march import ShadowLooks, accumulate_sunlight
 from render.shafts.methods.base import Gathered, check_steps
 from render.shafts.methods.marching import march_rays
-from render.shafts.rays import ViewRays, edges_towards_lamp, uniform_edges
+from render.shafts.rays import ViewRays, uniform_edges
 from render.shafts.stage import Stage
 
 LOOKS_AT_ONCE = 1 << 19

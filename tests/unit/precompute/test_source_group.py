@@ -199,10 +199,10 @@ def test_steps_follow_the_depth_of_the_densest_voxel() -> None:
 
 
 def test_anchors_are_the_nodes_that_are_thick_enough() -> None:
-    anchors = task([0.01, 0.4, 0.6, 5.0]).nodes.extinction_anchors * seen().largest_optical_length
+    anchors = task([0.01, 0.4, 0.6, 5.0]).nodes().extinction_anchors * seen().largest_optical_length
     assert anchors.tolist() == pytest.approx([0.6, 5.0])
     assert anchors.min() >= THINNEST_ANCHOR
-    assert task([0.01, 0.1]).nodes.extinction_anchors.tolist() == pytest.approx([0.1 / seen().largest_optical_length])
+    assert task([0.01, 0.1]).nodes().extinction_anchors.tolist() == pytest.approx([0.1 / seen().largest_optical_length])
 
 
 def test_pilot_and_group_draw_different_numbers() -> None:
@@ -213,7 +213,7 @@ def test_pilot_and_group_draw_different_numbers() -> None:
     group, sources = task([2.0]), []
     for seed, stream in ((0, 0), (0, 1), (1, 0), (1, 1)):
         table = dataclasses.replace(group, seed=seed).source_table(
-            lattice_over(group.view.grid, 1.0), plan_orders(2), stream
+            lattice_over(group.view.grid, 1.0), plan_orders(2), group.nodes(), stream
         )
         table.add_pass(SourcePoints(torch.arange(50), torch.full((50,), 8)))
         sources.append(table.source)

@@ -1,4 +1,5 @@
 import math
+from contextlib import nullcontext
 
 import pytest
 import torch
@@ -9,8 +10,10 @@ from render.fused import torch_loops_only
 from render.media import ExponentialDecay, LinearDecay, Uniform, compute_in_scattering
 from render.shafts.air import Air, Constituent
 from render.shafts.casters import make_sphere
+from render.shafts.cube_shadow_map import CubeShadowMap, build_cube_shadow_map, face_directions
+from render.shafts.lamp_steps import edges_towards_lamp
 from render.shafts.lights import AlwaysLit, Lighting, PointInScene, PointLight, Sun, SunInScene, build_sun_depth
-from render.shafts.march import ShadowLooks, accumulate_sunlight, inverse_square_mean, march
+from render.shafts.march import ShadowLooks, accumulate_sunlight, march
 from render.shafts.ray_casting import RayCaster, SunRays
 from render.shafts.rays import ViewRays, uniform_edges
 
@@ -123,20 +126,51 @@ def test_a_lamp_in_empty_fog_is_the_integral_along_the_ray() -> None:
     assert not torch.allclose(found, 0.99 * wanted, rtol=2e-3, atol=1e-7)
 
 
-def test_the_mean_inverse_square_is_finite_through_the_lamp_itself() -> None:
-    rays = ViewRays(torch.zeros(1, 3), torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([10.0]))
-    edges = torch.tensor([[0.0, 4.0, 6.0, 6.0, 10.0]])
-    found = inverse_square_mean(rays, edges, (5.0, 0.0, 0.0), 0.5)
-    wanted = torch.tensor(
-        [
-            2.0 * math.atan(10.0) - 2.0 * math.atan(2.0),
-            4.0 * math.atan(2.0),
-            0.0,
-            2.0 * math.atan(10.0) - 2.0 * math.atan(2.0),
-        ]
-    )
-    torch.testing.assert_close(found * edges.diff(dim=1), wanted[None], rtol=1e-5, atol=1e-6)
-    assert float(found[0, 2]) == pytest.approx(1.0 / 1.25)
+@pytest.mark.parametrize("torch_only", [False, True])
+def test_few_steps_of_equal_angles_find_the_light_next_to_a_lamp(torch_only: bool) -> None:
+    """Equal steps of the same number miss it: the light turns from forward to backward within one of them."""
+    air = Air((Constituent(Uniform(0.05, 1e4, -1e4), asymmetry=0.6),))
+    lamp = PointLight((0.0, 20.0, 0.0), (1.0, 1.0, 1.0))
+    lighting = Lighting(points=(PointInScene(lamp, AlwaysLit()),))
+    aside = torch.logspace(-3.0, 0.7, 24)
+    direction = torch.nn.functional.normalize(torch.stack([aside, torch.full_like(aside, 20.0), 0.0 * aside], 1), dim=1)
+    rays = ViewRays(torch.zeros(24, 3), direction, torch.full((24,), 60.0))
+
+    def gather(edges: torch.Tensor) -> torch.Tensor:
+        return march(air, lighting, rays, edges).in_scattering[:, 0]
+
+    with torch_loops_only() if torch_only else nullcontext():
+        wanted = gather(edges_towards_lamp(rays, lamp.position, lamp.radius, 400))
+        error = (gather(edges_towards_lamp(rays, lamp.position, lamp.radius, 12)) / wanted - 1.0).abs()
+        equal = (gather(uniform_edges(rays, 12)) / wanted - 1.0).abs()
+    assert float(error.max()) < 0.03
+    assert float(equal.max()) > 0.2
+
+
+@pytest.mark.parametrize("torch_only", [False, True])
+def test_the_lit_share_of_a_lamp_is_that_of_the_angle(torch_only: bool) -> None:
+    """A wall cuts the ray where the angle at the lamp is a third of the whole, far from a third of the length."""
+    lamp = PointLight((0.0, 0.0, 1.0), (1.0, 1.0, 1.0), radius=1e-3)
+    rays = ViewRays(torch.tensor([[0.0, 0.0, 0.0]]), torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([20.0]))
+    whole = math.atan(20.0)
+    border = math.tan(whole / 3.0)
+    air = Air((Constituent(Uniform(1e-6, 1e4, -1e4)),))
+    edge = torch.tensor([border, 0.0, 0.0]) - torch.tensor(lamp.position)
+    cube = build_cube_shadow_map(RayCaster(()), lamp.position, 512)
+    directions = face_directions(512)
+    dark = directions[..., 0] * -edge[2] > -directions[..., 2] * edge[0]
+    cube = CubeShadowMap(cube.position, torch.where(dark, 0.0, math.inf).float())
+    edges = torch.tensor([[0.0, 20.0]])
+    with torch_loops_only() if torch_only else nullcontext():
+        lit, shadowed = (
+            march(
+                air, Lighting(points=(PointInScene(lamp, seen),)), rays, edges, looks=ShadowLooks(4, 10)
+            ).in_scattering
+            for seen in (AlwaysLit(), cube)
+        )
+    share = float(shadowed[0, 0] / lit[0, 0])
+    assert share == pytest.approx(1.0 / 3.0, abs=0.005)
+    assert abs(border / 20.0 - 1.0 / 3.0) > 0.2
 
 
 def test_nothing_that_scatters_gives_no_light() -> None:

@@ -1,6 +1,6 @@
 import torch
 
-from render.shafts.rays import ViewRays, edges_towards_lamp, shifted_edges, uniform_edges
+from render.shafts.rays import ViewRays, shifted_edges, uniform_edges
 
 
 def test_points_and_edges_lie_along_the_rays() -> None:
@@ -15,19 +15,6 @@ def test_points_and_edges_lie_along_the_rays() -> None:
     assert len(rays[1:]) == 1
     assert rays[torch.tensor([1])].distance.tolist() == [8.0]
     assert rays.doubled().distance.dtype == torch.float64
-
-
-def test_steps_are_short_near_a_lamp_and_tile_the_ray() -> None:
-    rays = ViewRays(torch.zeros(2, 3), torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), torch.tensor([100.0, 10.0]))
-    edges = edges_towards_lamp(rays, (60.0, 1.0, 0.0), 0.1, 12)
-    assert edges.shape == (2, 13)
-    assert (edges.diff(dim=1) >= 0.0).all()
-    torch.testing.assert_close(edges[:, -1], rays.distance)
-    assert torch.equal(edges[:, 0], torch.zeros(2))
-    lengths = edges[0].diff()
-    shortest = int(lengths.argmin())
-    assert 55.0 < float(edges[0, shortest]) < 61.0
-    assert float(lengths.min()) < 0.1 * float(lengths.max())
 
 
 def test_shifted_steps_tile_the_ray() -> None:

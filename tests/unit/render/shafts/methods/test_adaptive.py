@@ -26,7 +26,7 @@ def test_the_usual_settings_meet_two_percent() -> None:
         {"looks": ShadowLooks()},
         {"lines": None, "contrast": math.inf, "factor": 6},
         {"steps": 3, "looks": ShadowLooks(2)},
-        {"short_near_lamps": False, "steps": 8},
+        {"lamp_steps": None, "steps": 8},
     ],
 )
 def test_each_part_earns_its_place(switched_off: dict[str, object]) -> None:
@@ -42,6 +42,7 @@ def test_blocks_and_two_levels_of_steps_work_too() -> None:
 
 def test_the_report_says_what_was_marched() -> None:
     gathered = Adaptive(factor=4).gather(small_stage(small_scene(240, 160)))
+    assert gathered.modelled[0] == "16 steps of 7 looks for shadows, 10 steps of 4 looks for half a turn at a lamp"
     assert [sentence.partition(":")[0] for sentence in gathered.modelled[1:]] == ["the sun", "one lamp"]
     assert {"epipolar lines", "marching", "interpolation", "filling", "refinement"} == set(gathered.seconds)
 
@@ -54,6 +55,7 @@ def test_numbers_without_meaning_are_refused() -> None:
         {"near_part": 0.0},
         {"contrast": 0.0},
         {"spent": 1.0},
+        {"lamp_steps": 1},
     ):
         with pytest.raises(ParameterError):
             replace(Adaptive(), **wrong)
