@@ -233,7 +233,9 @@ class _Carrier:
         if last >= plan.largest_order:
             return found
         middle = (last + 1) // 2
-        decay = (energy[-1] / energy[middle - 2].clamp(min=1e-300)).clamp(min=0.0)
+        # Faint light is noise of either sign: no decay follows from it, hence no tail.
+        lit = (energy[-1] > 0.0) & (energy[middle - 2] > 0.0)
+        decay = torch.where(lit, energy[-1] / energy[middle - 2].clamp(min=1e-300), 0.0)
         ratio = (decay * (last / middle) ** 1.5) ** (1.0 / (last - middle))
         beyond = torch.arange(last + 1, plan.largest_order + 1, dtype=torch.float64)
         falling = ratio.clamp(0.0, LARGEST_RATIO)[:, None] ** (beyond - last) * (beyond / last) ** -1.5

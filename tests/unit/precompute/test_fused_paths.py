@@ -159,6 +159,5 @@ def test_asymmetries_end_where_they_do_in_torch(name: str, last_order: Callable[
     table = trace(case)
     lit = (table.source > 0.0).any(0).any(0).any(0)
     last = last_order(torch.tensor(case.asymmetry))
-    for row, knot in enumerate(table.plan.knots):
-        below = table.plan.knots[row - 1] if row else 0
-        assert torch.equal(lit[row], last > below)
+    for below, of_knot in zip((0, *table.plan.knots), lit, strict=False):
+        assert torch.equal(of_knot, last > below)
