@@ -58,8 +58,9 @@ POINTS_SHARE = 0.4
 ROUND = 0.015
 """Share |g|^(k (DEGREE + 1)) of what the harmonics leave out of order k, from which on that order is carried."""
 
-LAST_CARRIED = 66
-"""Orders beyond have the shape of this one, and fall like k^(-3/2) r^k."""
+LAST_CARRIED, RATIO_ORDERS = 66, 8
+"""Orders beyond have the shape of this one, and fall as the last ones did. A law k^(-3/2) r^k with r from the whole upper half made all
+carried light 13 per cent too bright in a cloud of optical depth 35, where this one errs by 0.6."""
 
 FAINT = 1e-4
 """Share of the light so far that an order adds below which the rest is left to that law."""
@@ -232,13 +233,13 @@ class _Carrier:
         last = len(energy) + 1
         if last >= plan.largest_order:
             return found
-        middle = (last + 1) // 2
+        before = max(1, len(energy) - RATIO_ORDERS)
         # Faint light is noise of either sign: no decay follows from it, hence no tail.
-        lit = (energy[-1] > 0.0) & (energy[middle - 2] > 0.0)
-        decay = torch.where(lit, energy[-1] / energy[middle - 2].clamp(min=1e-300), 0.0)
-        ratio = (decay * (last / middle) ** 1.5) ** (1.0 / (last - middle))
-        beyond = torch.arange(last + 1, plan.largest_order + 1, dtype=torch.float64)
-        falling = ratio.clamp(0.0, LARGEST_RATIO)[:, None] ** (beyond - last) * (beyond / last) ** -1.5
+        lit = (energy[-1] > 0.0) & (energy[before - 1] > 0.0)
+        decay = torch.where(lit, energy[-1] / energy[before - 1].clamp(min=1e-300), 0.0)
+        ratio = (decay ** (1.0 / max(1, len(energy) - before))).clamp(max=LARGEST_RATIO)
+        beyond = torch.arange(1, plan.largest_order - last + 1, dtype=torch.float64)
+        falling = ratio[:, None] ** beyond
         shares = (falling @ plan.shares[last - 1 :]).float()
         return found.addcmul_(source, shares.T[:, None])
 
