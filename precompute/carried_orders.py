@@ -234,8 +234,8 @@ class _Carrier:
         if last >= plan.largest_order:
             return found
         before = max(1, len(energy) - RATIO_ORDERS)
-        # Faint light is noise of either sign: no decay follows from it, hence no tail.
-        lit = (energy[-1] > 0.0) & (energy[before - 1] > 0.0)
+        # Faint light is noise of either sign, from which no decay follows; what is faint by now has no tail that matters.
+        lit = (energy[-1] > FAINT * energy.sum(0)) & (energy[before - 1] > energy[-1])
         decay = torch.where(lit, energy[-1] / energy[before - 1].clamp(min=1e-300), 0.0)
         ratio = (decay ** (1.0 / max(1, len(energy) - before))).clamp(max=LARGEST_RATIO)
         beyond = torch.arange(1, plan.largest_order - last + 1, dtype=torch.float64)
