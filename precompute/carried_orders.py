@@ -63,7 +63,10 @@ LAST_CARRIED, RATIO_ORDERS = 66, 8
 carried light 13 per cent too bright in a cloud of optical depth 35, where this one errs by 0.6."""
 
 FAINT = 1e-4
-"""Share of the light so far that an order adds below which the rest is left to that law."""
+"""Share of the light so far that an order adds below which none is carried further."""
+
+BITS, FRACTIONS = 10, (1 << 10) - 1
+"""Of a place within a cell along each axis, and the largest number that they hold."""
 
 MEAN_SPREAD = torch.tensor([1.0 / 12.0])
 """Half of w (1 - w) on average over a cell, for places that are anywhere."""
@@ -133,7 +136,8 @@ def carry_orders(
         on_progress: called with the share that is done.
     """
     count = SETS + len(lattice.numbers)
-    keys = [counter_keys(stream_number(seed, half), torch.arange(count)) for half in range(2)]
+    # Keys of zero would name the streams of source tables, which have the seed alone.
+    keys = [counter_keys(stream_number(seed, 1 + half), torch.arange(count)) for half in range(2)]
     draws = [counter_uniform(of_half[:SETS, None].expand(-1, 3), torch.arange(3).expand(SETS, -1)) for of_half in keys]
     sets = [[turned_directions(DEGREE, turn) for turn in of_half] for of_half in draws]
 
@@ -154,7 +158,7 @@ class _Flights:
 
     Args:
         cell: lattice point at the low corner of that place `(direction, point)` int32; -1 where the flight left the volume.
-        fraction: along x, y and z within the cell, in ten bits each `(direction, point)` int32.
+        fraction: along x, y and z within the cell, in `BITS` each `(direction, point)` int32.
         spread: of interpolation around each point, see `LightLattice.sharpen` `(point,)`.
     """
 
@@ -185,11 +189,11 @@ class _Carrier:
             flight = fly(self._view.grid, position, direction.expand_as(position).contiguous(), target, self._step)
             place = (flight.position - self._lattice.lattice.corner) / self._lattice.lattice.spacing
             cell = place.int().clamp(min=0).minimum((counts - 2).clamp(min=0).int())
-            within = ((place - cell).clamp(0.0, 1.0) * 1023.0).round().int()
+            within = ((place - cell).clamp(0.0, 1.0) * FRACTIONS).round().int()
             low = cell[:, 0] + int(counts[0]) * (cell[:, 1] + int(counts[1]) * cell[:, 2])
             cells.append(torch.where(flight.collided, low, -1))
             ends.append(flight.position[flight.collided])
-            fractions.append(within[:, 0] + (within[:, 1] << 10) + (within[:, 2] << 20))
+            fractions.append(within[:, 0] + (within[:, 1] << BITS) + (within[:, 2] << 2 * BITS))
         return _Flights(torch.stack(cells), torch.stack(fractions), self._lattice.measure_spread(ends))
 
     def carry(self, asymmetry: Tensor, plan: OrderPlan) -> Tensor:
@@ -276,7 +280,8 @@ def _gather(lattice: LightLattice, along: Tensor, flights: _Flights, brought: Te
     for values, cell, fraction, result in zip(along, flights.cell, flights.fraction, brought, strict=True):
         low = cell.clamp(min=0)
         place = torch.stack([low % nx, low // nx % ny, low // (nx * ny)], dim=-1)
-        within = torch.stack([fraction & 1023, fraction >> 10 & 1023, fraction >> 20], dim=-1) / 1023.0
+        parts = [fraction & FRACTIONS, fraction >> BITS & FRACTIONS, fraction >> 2 * BITS]
+        within = torch.stack(parts, dim=-1) / FRACTIONS
         numbers, weights = lattice.corners(box.corner + (place + within) * box.spacing)
         weights = weights * (cell >= 0)[:, None]
         result.copy_(embedding_bag(numbers, values, per_sample_weights=weights, mode="sum"))

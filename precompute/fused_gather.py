@@ -6,6 +6,7 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
+from precompute.carried_orders import BITS, FRACTIONS
 from render.fused import announce_compilation, run_in_threads
 from render.fused_trilinear import Floats
 
@@ -14,7 +15,7 @@ CHUNK = 1 << 12
 
 Ints = NDArray[np.int32]
 
-ONE, SIX, CELL = np.float32(1.0), np.float32(6.0), np.float32(1.0 / 1023.0)
+ONE, SIX, CELL = np.float32(1.0), np.float32(6.0), np.float32(1.0 / FRACTIONS)
 
 
 @njit(nogil=True, cache=True, fastmath=True)
@@ -45,9 +46,9 @@ def _gather(
                 brought[direction, n, :] = np.float32(0.0)
                 continue
             u, v, w = (
-                np.float32(bits & 1023) * CELL,
-                np.float32(bits >> 10 & 1023) * CELL,
-                np.float32(bits >> 20) * CELL,
+                np.float32(bits & FRACTIONS) * CELL,
+                np.float32(bits >> BITS & FRACTIONS) * CELL,
+                np.float32(bits >> 2 * BITS) * CELL,
             )
             near, far, upper, top = (ONE - w) * (ONE - v), (ONE - w) * v, w * (ONE - v), w * v
             a, b = entry[low], entry[low + sx]

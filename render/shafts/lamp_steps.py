@@ -83,11 +83,7 @@ def inverse_square_mean(rays: ViewRays, edges: Tensor, position: Vector, radius:
 
     with h^2 the squared distance between ray and point, plus r^2.
 
-    Args:
-        rays: where the steps lie.
-        edges: borders `(ray, step + 1)` [m].
-        position: of the point [m].
-        radius: r [m], positive.
+    Arguments are those of `brightest_places`, whose `radius` is r.
 
     Returns:
         `(ray, step)` [1/m^2].
