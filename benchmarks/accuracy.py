@@ -39,6 +39,7 @@ from cloudfit.scene_record import load_volume
 from precompute.scattering_orders import build_scattering_stack
 from render.camera import Camera, direction_from_angles, frame_volume
 from render.density_grid import DensityGrid
+from render.depth_nodes import depth_coordinate
 from render.interpolation import cubic_weights
 from render.procedural_cloud import build_cumulus
 from render.scattering_stack import ScatteringStack
@@ -201,7 +202,8 @@ def estimated_error(stack: ScatteringStack, asymmetry: Tensor, extinction: Tenso
     """Error that the stack states, interpolated between nodes."""
     tables = stack.tables
     rows = cubic_weights(tables.asymmetry, asymmetry)
-    columns = cubic_weights(tables.extinction.log(), extinction.log())
+    soft = tables.soft_extinction
+    columns = cubic_weights(depth_coordinate(tables.extinction, soft), depth_coordinate(extinction, soft))
     return float((rows[:, :, None] * columns[:, None, :] * tables.image_error).sum().clamp(min=0.0))
 
 

@@ -12,6 +12,7 @@ from benchmarks.common import Outcome, make_table, scene_with, tell_progress
 from benchmarks.mitsuba_peer import PeerCost, find_mitsuba, measure_peer
 from benchmarks.parameter_sets import DEPTH, Disagreement, ParameterSet
 from benchmarks.stack_build import BuildCost, BuildTask, PeerTask, build_and_compare
+from render.depth_nodes import place_depths
 from render.procedural_cloud import build_cumulus
 
 NODES = (
@@ -111,7 +112,7 @@ NOTES = (
 def nodes_by_depth(extinctions: int, asymmetries: int) -> list[int]:
     """How many nodes of the table each of the `NODES` stands for: those nearest in the logarithm of the optical depth."""
     thin, thick = DEPTH
-    depths = torch.logspace(math.log10(thin), math.log10(thick), extinctions, dtype=torch.float64)
+    depths = place_depths(thin, thick, extinctions)
     measured = torch.tensor([node.optical_depth for node in NODES], dtype=torch.float64)
     nearest = (depths.log()[:, None] - measured.log()).abs().argmin(1)
     return [asymmetries * int((nearest == number).sum()) for number in range(len(NODES))]

@@ -9,6 +9,7 @@ from cloudfit.quality import Quality
 from cloudfit.scene import Scene
 from precompute.scattering_orders import Progress
 from precompute.stack_store import StackReport, load_or_build_stack
+from render.depth_nodes import place_depths
 from render.errors import CameraError
 from render.ray_march import compute_optical_length
 from render.scattering_stack import ScatteringStack
@@ -45,7 +46,7 @@ def prepare_stack(
             "the camera sees no cloud: every view ray misses it or the volume is empty; move the camera or the volume"
         )
     thin, thick = LARGEST_OPTICAL_DEPTH_RANGE
-    extinction = torch.logspace(0.0, 1.0, quality.extinction_nodes, base=thick / thin) * (thin / largest)
+    extinction = (place_depths(thin, thick, quality.extinction_nodes) / largest).float()
     asymmetry = torch.linspace(*ASYMMETRY_RANGE, quality.asymmetry_nodes)
     tables, report = load_or_build_stack(
         folder, scene.grid, camera, scene.sun_direction, asymmetry, extinction, quality.table_effort, seed, on_progress

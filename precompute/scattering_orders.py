@@ -16,6 +16,7 @@ from precompute.source_group import GroupImages, build_group
 from precompute.view import View, view_of
 from render.camera import Camera
 from render.density_grid import DensityGrid
+from render.depth_nodes import SOFT_DEPTH
 from render.errors import ParameterError
 from render.phase_functions import check_asymmetry
 from render.scattering_stack import ScatteringTables
@@ -142,6 +143,7 @@ def _assemble(
         cos_sun=view.direction @ view.sun,
         asymmetry=asymmetry,
         extinction=extinction,
+        soft_extinction=torch.tensor(SOFT_DEPTH / (view.largest_optical_length or 1.0)),
         knots=torch.tensor(plan.knots),
         single=single,
         multiple=multiple,

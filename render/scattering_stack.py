@@ -7,7 +7,8 @@ For a fixed volume, camera and sun the radiance of a cloud pixel is (Dobashi et 
 
 with the sunlight's intensity L_in, the albedo beta, the asymmetry g, the extinction s [1/m], the phase function p, the cosine of the angle
 theta between view and sun, the optical length u [m], the single-scattering integral S1 and the orders f_k, k >= 2. S1 and f_k are
-tables, interpolated over ln s and g. Powers of s are straight lines in logarithms, so those of S1, which has no noise, are interpolated.
+tables, interpolated over g and w = ln(1 + s / s_0) (`depth_nodes`), after division by the power of s that they are in thin clouds. Of S1,
+which has no noise, logarithms are interpolated.
 High orders share the images of a few knots: sum beta^k f_k over k >= 2 is taken as sum beta^K F_K over the knots K (how orders are shared
 out is the builder's choice), and the orders beyond the last knot as a series k^(-3/2) r^k with a measured ratio r. F_K is split into its
 mean over the pixels, whose logarithm is interpolated, and the image relative to that mean, which is interpolated as it is: the logarithm
@@ -20,6 +21,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from render.depth_nodes import depth_coordinate
 from render.errors import ParameterError
 from render.interpolation import cubic_weights, interpolate_limited, limited_slopes
 from render.phase_functions import evaluate_phase_function
@@ -48,6 +50,7 @@ class ScatteringTables:
         cos_sun: cosine of the angle between view and sun `(pixel,)`.
         asymmetry: nodes `(asymmetry,)`.
         extinction: nodes `(extinction,)` [1/m].
+        soft_extinction: s_0 of the coordinate that images are interpolated over [1/m], a scalar.
         knots: exponents of the albedo `(knot,)`; 2, 3 and 4 stand for themselves, the others for the orders around them too.
         single: S1 `(extinction, pixel)`.
         multiple: f `(knot, asymmetry, extinction, pixel)` [1/sr].
@@ -67,6 +70,7 @@ class ScatteringTables:
     cos_sun: Tensor
     asymmetry: Tensor
     extinction: Tensor
+    soft_extinction: Tensor
     knots: Tensor
     single: Tensor
     multiple: Tensor
@@ -124,12 +128,14 @@ class ScatteringStack(nn.Module):
         self.register_buffer("pixel", tables.pixel)
         self.register_buffer("optical_length", tables.optical_length)
         self.register_buffer("cos_sun", tables.cos_sun)
-        self.register_buffer("log_single", _safe_log(tables.single))
+        log_nodes = tables.extinction.double().log()
+        self.register_buffer("log_single", _safe_log(tables.single) - log_nodes.to(tables.single)[:, None])
         mean = tables.multiple.double().sum(-1) / max(len(tables.pixel), 1)
         mean = mean.clamp(min=SMALLEST_MEAN).to(tables.multiple.dtype)
-        log_mean = mean.log()
+        log_mean = (mean.double().log() - _thin_powers(tables.knots)[:, None, None] * log_nodes).to(mean)
+        nodes = depth_coordinate(tables.extinction, tables.soft_extinction)
         self.register_buffer("log_mean", log_mean.flatten(0, 1))
-        self.register_buffer("log_mean_slopes", limited_slopes(tables.extinction.log(), log_mean).flatten(0, 1))
+        self.register_buffer("log_mean_slopes", limited_slopes(nodes, log_mean).flatten(0, 1))
         self.register_buffer("relative", (tables.multiple / mean[..., None]).flatten(1, 2))
         self.register_buffer("usable", tables.image_error <= largest_image_error)
         self.largest_image_error = largest_image_error
@@ -159,27 +165,31 @@ class ScatteringStack(nn.Module):
                 "asymmetry, extinction and albedo need one shape (population,), not "
                 f"{tuple(asymmetry.shape)}, {tuple(extinction.shape)} and {tuple(albedo.shape)}"
             )
-        nodes = self.tables.extinction.to(extinction)
+        nodes, soft = self.tables.extinction.to(extinction), self.tables.soft_extinction.to(extinction)
         # Not clamp: at the first node its gradient would add to that of the clamp below.
         thinner = torch.where(extinction < nodes[0], extinction / nodes[0], 1.0)[:, None]
-        of_extinction = cubic_weights(nodes.log(), extinction.clamp(min=float(nodes[0])).log())
+        within = extinction.clamp(min=float(nodes[0])).clamp(max=float(nodes[-1]))
+        of_extinction = cubic_weights(depth_coordinate(nodes, soft), depth_coordinate(within, soft))
         of_asymmetry = cubic_weights(self.tables.asymmetry, asymmetry)
         node_weights = (of_asymmetry[:, :, None] * of_extinction[:, None, :]).flatten(1)
         phase = evaluate_phase_function(self.cos_sun.to(asymmetry), asymmetry[:, None])
-        single = albedo[:, None] * thinner * phase * (of_extinction @ self.log_single.to(albedo)).exp()
-        mean = self._mean_of_images(of_asymmetry, extinction.clamp(min=float(nodes[0])).log())
-        mean = mean * self._albedo_powers(albedo, thinner[:, 0], node_weights)
+        power = albedo[:, None] * thinner * within[:, None]
+        single = power * phase * (of_extinction @ self.log_single.to(albedo)).exp()
+        mean = self._mean_of_images(of_asymmetry, within) * self._albedo_powers(albedo, thinner[:, 0], node_weights)
         multiple = self._compose_multiple(mean, node_weights)
         depth = extinction[:, None] * self.optical_length.to(albedo)
         return CloudLayers(single, multiple, torch.exp(-depth), -torch.expm1(-depth))
 
-    def _mean_of_images(self, of_asymmetry: Tensor, log_extinction: Tensor) -> Tensor:
-        """Means over the pixels `(population, knot)`; high orders fall so steeply towards thin clouds that a cubic would overshoot."""
-        log_mean, slopes = self.log_mean.to(log_extinction), self.log_mean_slopes.to(log_extinction)
-        # Logarithms of nodes in the precision of the candidates': a first node that rounds above them would stop their gradient there.
-        log_nodes = self.tables.extinction.to(log_extinction).log()
-        columns = interpolate_limited(log_nodes, log_mean, slopes, log_extinction)
-        return torch.einsum("pkg,pg->pk", columns.unflatten(1, (len(self.relative), -1)), of_asymmetry).exp()
+    def _mean_of_images(self, of_asymmetry: Tensor, extinction: Tensor) -> Tensor:
+        """Means over the pixels `(population, knot)`; those of faint images may fall off a cliff, where a cubic would overshoot."""
+        log_mean, slopes = self.log_mean.to(extinction), self.log_mean_slopes.to(extinction)
+        soft = self.tables.soft_extinction.to(extinction)
+        # Coordinates of nodes in the precision of the candidates': a first node that rounds above them would stop their gradient there.
+        nodes = depth_coordinate(self.tables.extinction.to(extinction), soft)
+        columns = interpolate_limited(nodes, log_mean, slopes, depth_coordinate(extinction, soft))
+        columns = columns.unflatten(1, (len(self.relative), -1))
+        power = _thin_powers(self.tables.knots).to(extinction) * extinction.log()[:, None]
+        return (torch.einsum("pkg,pg->pk", columns, of_asymmetry) + power).exp()
 
     def _compose_multiple(self, mean: Tensor, node_weights: Tensor) -> Tensor:
         """Sum of the images with given means `(population, pixel)`."""
@@ -221,6 +231,12 @@ class ScatteringStack(nn.Module):
     def is_usable(self, asymmetry: Tensor, extinction: Tensor, albedo: Tensor) -> Tensor:
         """Whether all nodes around each candidate meet the accepted error at its albedo `(population,)` bool."""
         return self.estimated_error(asymmetry, extinction, albedo) <= self.largest_image_error
+
+
+def _thin_powers(knots: Tensor) -> Tensor:
+    """Power of the extinction that each image is in a thin cloud: the lowest order that adds to it `(knot,)`, float64."""
+    lowest = torch.cat([knots[:1], knots[:-1] + 1]) if len(knots) else knots
+    return lowest.double()
 
 
 def sum_tail(kept: Tensor, largest_order: int) -> Tensor:

@@ -68,6 +68,7 @@ def one_pixel_tables() -> ScatteringTables:
         cos_sun=torch.zeros(1),
         asymmetry=torch.tensor([0.0, 0.9]),
         extinction=torch.tensor([0.01, 1.0]),
+        soft_extinction=torch.tensor(0.1),
         knots=torch.tensor([2, 3, 4]),
         single=torch.ones(2, 1),
         multiple=torch.ones(3, 2, 2, 1),

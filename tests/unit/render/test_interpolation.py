@@ -1,4 +1,4 @@
-"""Cubic weights: parabolas exact, smooth, local, and held at the border."""
+"""Cubic weights: cubics exact, smooth, local, and held at the border."""
 
 import pytest
 import torch
@@ -22,17 +22,32 @@ def test_nodes_are_reproduced(count: int) -> None:
     torch.testing.assert_close(cubic_weights(NODES[:count], NODES[:count]), torch.eye(count, dtype=torch.float64))
 
 
-@pytest.mark.parametrize("count", [3, 4, 6])
-def test_parabolas_are_exact_and_cubics_are_not(count: int) -> None:
+@pytest.mark.parametrize("count", [4, 5, 6])
+def test_cubics_are_exact_and_higher_powers_are_not(count: int) -> None:
     nodes = NODES[:count]
     values = INSIDE[nodes[-1] >= INSIDE]
     weights = cubic_weights(nodes, values)
 
-    def parabola(x: torch.Tensor) -> torch.Tensor:
-        return 2.0 - 3.0 * x + 0.5 * x * x
+    def cubic(x: torch.Tensor) -> torch.Tensor:
+        return 2.0 - 3.0 * x + 0.5 * x * x - 0.1 * x**3
 
-    torch.testing.assert_close(weights @ parabola(nodes), parabola(values))
-    assert not torch.allclose(weights @ nodes**3, values**3)
+    torch.testing.assert_close(weights @ cubic(nodes), cubic(values))
+    assert not torch.allclose(weights @ nodes**4, values**4)
+
+
+def test_parabolas_are_exact_with_three_nodes() -> None:
+    values = INSIDE[NODES[2] >= INSIDE]
+    torch.testing.assert_close(cubic_weights(NODES[:3], values) @ NODES[:3] ** 2, values**2)
+
+
+def test_halving_the_distances_divides_the_error_by_sixteen() -> None:
+    values = torch.linspace(0.2, 5.8, 500, dtype=torch.float64)
+    errors = []
+    for count in (13, 25, 49):
+        nodes = torch.linspace(0.0, 6.0, count, dtype=torch.float64)
+        errors.append(float((cubic_weights(nodes, values) @ nodes.sin() - values.sin()).abs().max()))
+    assert errors[0] / errors[1] > 13.0
+    assert errors[1] / errors[2] > 13.0
 
 
 def test_two_nodes_are_joined_by_a_line_and_one_is_a_constant() -> None:
@@ -54,6 +69,7 @@ def test_value_and_derivative_are_continuous() -> None:
         value = cubic_weights(NODES, x) @ samples
         return value.detach(), torch.autograd.grad(value.sum(), x)[0]
 
+    samples[2] += 1.0  # a kink of the second derivative, not a parabola by chance
     inner = NODES[1:-1]
     below, above = value_and_slope(inner - 1e-9), value_and_slope(inner + 1e-9)
     torch.testing.assert_close(below[0], above[0], atol=1e-7, rtol=0.0)
@@ -66,10 +82,11 @@ def test_gradients_are_those_of_central_differences() -> None:
     assert torch.autograd.gradcheck(lambda v: cubic_weights(NODES, v), x)
 
 
-def test_at_most_four_nodes_matter() -> None:
-    touched = cubic_weights(NODES, INSIDE) != 0.0
-    assert int(touched.sum(1).max()) == 4
-    assert not touched[INSIDE < 0.0][:, 3:].any()
+def test_at_most_six_nodes_matter() -> None:
+    nodes = torch.linspace(0.0, 9.0, 10, dtype=torch.float64)
+    touched = cubic_weights(nodes, torch.linspace(0.0, 9.0, 300, dtype=torch.float64)) != 0.0
+    assert int(touched.sum(1).max()) == 6
+    assert not touched[:30, 5:].any()
 
 
 @pytest.mark.parametrize("nodes", [[0.0, 0.0], [1.0, 0.0], [0.0, 2.0, 1.0], [0.0, float("nan")]])
@@ -90,7 +107,7 @@ def limited(samples: torch.Tensor, values: torch.Tensor, nodes: torch.Tensor = N
 
 def test_smooth_samples_are_interpolated_as_without_limits() -> None:
     even = torch.linspace(0.0, 6.0, 13, dtype=torch.float64)
-    samples = torch.stack([2.0 + 3.0 * even, (0.3 * even).exp(), 1.0 - even])
+    samples = torch.stack([2.0 + 3.0 * even, (even + 1.0) ** 2, 1.0 - even])
     values = torch.linspace(-1.0, 7.0, 300, dtype=torch.float64)
     expected = cubic_weights(even, values) @ samples.T
     torch.testing.assert_close(limited(samples, values, even), expected)

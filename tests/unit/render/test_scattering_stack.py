@@ -12,7 +12,7 @@ from render.scattering_stack import CloudLayers, ScatteringStack, ScatteringTabl
 
 PIXELS, ORDERS = 6, 4
 ASYMMETRY = torch.tensor([0.0, 0.3, 0.6, 0.85])
-EXTINCTION = torch.logspace(-2.0, 0.5, 6)
+EXTINCTION, SOFT = torch.logspace(-2.0, 0.5, 6), 0.1
 
 
 def tables_of(pixels: int = PIXELS, asymmetry: Tensor = ASYMMETRY, extinction: Tensor = EXTINCTION) -> ScatteringTables:
@@ -32,6 +32,7 @@ def tables_of(pixels: int = PIXELS, asymmetry: Tensor = ASYMMETRY, extinction: T
         cos_sun=2.0 * torch.rand(pixels, generator=generator) - 1.0,
         asymmetry=asymmetry,
         extinction=extinction,
+        soft_extinction=torch.tensor(SOFT),
         knots=torch.arange(2, ORDERS + 1),
         single=single,
         multiple=multiple,
@@ -78,16 +79,17 @@ def test_transmittance_and_opacity_are_exact_everywhere() -> None:
 
 
 def test_between_nodes_logarithms_are_interpolated() -> None:
-    """A pure power of s and an exponential of g are straight lines there."""
+    """A pure power of s, that of each order, and an exponential of g are straight lines there."""
     tables = tables_of()
     s_table = EXTINCTION[:, None].expand(-1, PIXELS)
-    power = EXTINCTION[:, None] ** 2.0 * torch.exp(-3.0 * ASYMMETRY[:, None, None])
-    multiple = power.expand(ORDERS - 1, -1, -1, PIXELS)
+    order = torch.arange(2, ORDERS + 1)[:, None, None, None]
+    power = EXTINCTION[:, None] ** order * torch.exp(-3.0 * ASYMMETRY[:, None, None])
+    multiple = power.expand(-1, -1, -1, PIXELS)
     model = ScatteringStack(dataclasses.replace(tables, single=s_table, multiple=multiple))
     layers = compose(model, 0.47, 0.0777, 1.0)
     phase = evaluate_phase_function(tables.cos_sun.double(), 0.47)
     torch.testing.assert_close(layers.single[0], phase * 0.0777, rtol=1e-5, atol=0.0)
-    expected = (ORDERS - 1) * 0.0777**2 * torch.exp(torch.tensor(-3.0 * 0.47, dtype=torch.float64))
+    expected = sum(0.0777**k for k in range(2, ORDERS + 1)) * torch.exp(torch.tensor(-3.0 * 0.47, dtype=torch.float64))
     torch.testing.assert_close(layers.multiple[0], expected.expand(PIXELS), rtol=1e-5, atol=0.0)
 
 
