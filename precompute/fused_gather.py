@@ -39,7 +39,7 @@ def _gather(
     sx, sy, sz = strides[0], strides[1], strides[2]
     # Direction by direction, whose values at all points fit the cache.
     for direction in range(len(along)):
-        values = along[direction]
+        values, end = along[direction], np.int32(along.shape[1] - 1)
         for n in range(first, last):
             low, bits = cell[direction, n], fraction[direction, n]
             if low < 0:
@@ -51,10 +51,9 @@ def _gather(
                 np.float32(bits >> 2 * BITS) * CELL,
             )
             near, far, upper, top = (ONE - w) * (ONE - v), (ONE - w) * v, w * (ONE - v), w * v
-            a, b = entry[low], entry[low + sx]
-            c, d = entry[low + sy], entry[low + sy + sx]
-            e, f = entry[low + sz], entry[low + sz + sx]
-            g, h = entry[low + sz + sy], entry[low + sz + sy + sx]
+            # Points are numbered along x first, and a cell where flights end has all its corners.
+            a, c, e, g = entry[low], entry[low + sy], entry[low + sz], entry[low + sz + sy]
+            b, d, f, h = min(a + sx, end), min(c + sx, end), min(e + sx, end), min(g + sx, end)
             for q in range(along.shape[2]):
                 left = near * values[a, q] + far * values[c, q] + upper * values[e, q] + top * values[g, q]
                 right = near * values[b, q] + far * values[d, q] + upper * values[f, q] + top * values[h, q]
