@@ -41,13 +41,13 @@ from render.interpolation import cubic_weights
 from render.random_streams import counter_keys, counter_uniform, stream_number
 from render.spherical_harmonics import degrees_of_harmonics, evaluate_harmonics
 
-DEGREE = 3
-"""Of the harmonics."""
+DEGREE, HIGH_ORDER, HIGH_DEGREE = 5, 10, 3
+"""Of the harmonics; beyond that order light has become rounder."""
 
 SETS = 2
 """Of directions that orders take turns with, in each half."""
 
-CELL_DEPTH, DEEPEST_CELL = 1.4, 2.0
+CELL_DEPTH, DEEPEST_CELL = 1.4, 3.5
 """Optical depth of the densest cell between lattice points that is aimed at, and beyond which paths are better."""
 
 COARSEST = 4.0
@@ -56,7 +56,7 @@ COARSEST = 4.0
 CARRIED_ASYMMETRIES = 8
 """At most; others are interpolated between them. Eight numbers of 32 bits fill a vector register."""
 
-POINTS_SHARE = 0.4
+POINTS_SHARE = 0.2
 """Points of the lattice over source points, at most."""
 
 ROUND = 0.015
@@ -68,9 +68,6 @@ carried light 13 per cent too bright in a cloud of optical depth 35, where this 
 
 FAINT = 1e-4
 """Share of the light so far that an order adds below which none is carried further."""
-
-BLOCK = 8
-"""Directions whose light is held at once, a divisor of their number."""
 
 BITS, FRACTIONS = 10, (1 << 10) - 1
 """Of a place within a cell along each axis, and the largest number that they hold."""
@@ -215,7 +212,8 @@ class _Carrier:
             cells.append(torch.where(flight.collided, low, -1))
             ends.append(flight.position[flight.collided])
             fractions.append(within[:, 0] + (within[:, 1] << BITS) + (within[:, 2] << 2 * BITS))
-        return _Flights(torch.stack(cells), torch.stack(fractions), self._lattice.measure_spread(ends))
+        # A fourth of the flights tells the mean.
+        return _Flights(torch.stack(cells), torch.stack(fractions), self._lattice.measure_spread(ends[::4]))
 
     def carry(self, asymmetry: Tensor, plan: OrderPlan) -> Tensor:
         """J of the orders beyond those traced `(point, knot, asymmetry)`."""
@@ -227,11 +225,14 @@ class _Carrier:
         sun = evaluate_harmonics(view.sun.double(), DEGREE).float()
         length = march_to_sun(view.grid, position, view.sun, torch.tensor(self._extinction), self._step)
         light = (sun[:, None] * damping)[:, None] * torch.exp(-self._extinction * length)[:, None]
-        space, towards_camera = _Space.like(light), torch.empty_like(light[0])
+        space, towards_camera = _Space.like(light, self._sets[0].ring), torch.empty_like(light[0])
         found = torch.zeros(len(plan.knots), len(position), len(asymmetry))
         energy: list[Tensor] = []
         last = min(plan.largest_order, LAST_CARRIED)
         for order in range(2, last + 1):
+            if order == HIGH_ORDER + 1:
+                round_ = degrees_of_harmonics(DEGREE, odd=True) <= HIGH_DEGREE
+                light, damping, towards, space = light[round_], damping[round_], towards[round_], space.part(round_)
             self._scatter(light, damping, order % SETS, space)
             torch.mul(light[0], towards[0, :, None], out=towards_camera)
             for one, harmonic in zip(light[1:], towards[1:], strict=True):
@@ -251,12 +252,16 @@ class _Carrier:
         fused = fused_loops_wanted(light)
         sharpen, gather = (_sharpen_fused, _gather_fused) if fused else (_sharpen, _gather)
         sharpen(self._lattice, light, flights.spread, space.sharp)
+        harmonics, projection = directions.harmonics, directions.projection
+        if len(light) < len(projection):
+            round_ = degrees_of_harmonics(DEGREE, odd=True) <= HIGH_DEGREE
+            harmonics, projection = harmonics[:, round_], projection[round_]
         light.zero_()
-        for first in range(0, len(directions.direction), BLOCK):
-            block = slice(first, first + BLOCK)
-            torch.mm(directions.harmonics[block], space.sharp.flatten(1), out=space.along.flatten(1))
+        for first in range(0, len(directions.direction), directions.ring):
+            block = slice(first, first + directions.ring)
+            torch.mm(harmonics[block], space.sharp.flatten(1), out=space.along.flatten(1))
             gather(self._lattice, space.along, flights.part(block), space.brought)
-            light.flatten(1).addmm_(directions.projection[:, block], space.brought.flatten(1))
+            light.flatten(1).addmm_(projection[:, block], space.brought.flatten(1))
         light.mul_(damping[:, None])
 
     def _extend(self, found: Tensor, source: Tensor, energy: Tensor, plan: OrderPlan) -> Tensor:
@@ -277,16 +282,20 @@ class _Carrier:
 
 @dataclass(frozen=True, eq=False)
 class _Space:
-    """Memory for one order: sharpened light `(harmonic, point, asymmetry)`, light along `BLOCK` directions, what flights bring of it."""
+    """Memory for one order: sharpened light `(harmonic, point, asymmetry)`, light along a ring of directions, what flights bring of it."""
 
     sharp: Tensor
     along: Tensor
     brought: Tensor
 
     @classmethod
-    def like(cls, light: Tensor) -> "_Space":
-        along = light.new_empty(BLOCK, *light.shape[1:])
+    def like(cls, light: Tensor, directions: int) -> "_Space":
+        along = light.new_empty(directions, *light.shape[1:])
         return cls(torch.empty_like(light), along, torch.empty_like(along))
+
+    def part(self, harmonics: Tensor) -> "_Space":
+        """For some of the harmonics only."""
+        return _Space(self.sharp[: int(harmonics.sum())], self.along, self.brought)
 
 
 def _interpolate_asymmetries(source: Tensor, weights: Tensor) -> Tensor:

@@ -18,11 +18,13 @@ class DirectionSet:
         direction: unit vectors `(direction, 3)`.
         harmonics: at them `(direction, harmonic)`, see `evaluate_harmonics`.
         projection: of values at the directions on the harmonics `(harmonic, direction)`; its product with `harmonics` is one.
+        ring: directions with one polar angle, which follow each other.
     """
 
     direction: Tensor
     harmonics: Tensor
     projection: Tensor
+    ring: int
 
 
 def turned_directions(degree: int, uniform: Tensor) -> DirectionSet:
@@ -42,7 +44,7 @@ def turned_directions(degree: int, uniform: Tensor) -> DirectionSet:
     direction = plain.reshape(-1, 3) @ _rotation(uniform.double()).T
     harmonics = evaluate_harmonics(direction, degree)
     weights = (weight * (2.0 * math.pi / count)).repeat_interleave(count)
-    return DirectionSet(direction.float(), harmonics.float(), (harmonics * weights[:, None]).T.float().contiguous())
+    return DirectionSet(direction.float(), harmonics.float(), (harmonics * weights[:, None]).T.float().contiguous(), count)
 
 
 def _rotation(uniform: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ ALBEDOS = (0.82, 0.86, 0.90, 0.94, 0.98)
 MET_SHARE = 11.0 / 12.0
 """Share of the combinations that shall meet the tolerance."""
 
-FIRST_SHARE = 1.0 / 16.0
+FIRST_SHARE = 1.0 / 8.0
 """Of the largest number of paths that the first pass spends, to see what the tolerance needs."""
 
 LEAST_GROWTH, MOST_GROWTH = 0.5, 7.0

@@ -20,43 +20,92 @@ PROBE_RAYS = 4000
 
 @dataclass(frozen=True, eq=False)
 class SmoothSource:
-    """The source at one extinction, each column at its best level of smoothing, and images of it on some rays.
+    """The source at one extinction, each column at its best level of smoothing, and what that leaves of the errors.
 
     Args:
         source: mean of both halves `(point, knot, asymmetry)`.
         of_knots: relative RMS error of each image `(knot, asymmetry)`.
-        raw: images without smoothing `(ray, half, knot, asymmetry)`.
-        smooth: with it, likewise.
+        of_image: of the composed image `(albedo, asymmetry)`.
+        of_bright: the same at albedo one, with the orders beyond the last where they are added `(asymmetry,)`.
     """
 
     source: Tensor
     of_knots: Tensor
-    raw: Tensor
-    smooth: Tensor
+    of_image: Tensor
+    of_bright: Tensor
 
 
-class SourceProbe:
-    """Smooths a source as far as images of it on some of the rays become better.
+class ErrorProbe:
+    """Estimates errors of a source on some of the rays.
 
     Args:
         view: of all rays.
         lattice: of the source points.
         entry: number of each lattice point among the source points `(lattice point,)` int32.
         strata: of all rays.
+        single: single scattering and its error, each `(extinction, ray)`.
+        asymmetry: nodes `(asymmetry,)`.
+        plan: of the orders.
+        albedo: at which the composed image is judged `(albedo,)`.
+        tail: whether the orders beyond the last are added by their decay.
     """
 
-    def __init__(self, view: View, lattice: Lattice, entry: Tensor, strata: Strata) -> None:
-        rays = probe_rays(len(view.pixel))
-        part, some = view.part(rays), strata.part(rays)
+    def __init__(
+        self,
+        view: View,
+        lattice: Lattice,
+        entry: Tensor,
+        strata: Strata,
+        single: tuple[Tensor, Tensor],
+        asymmetry: Tensor,
+        plan: OrderPlan,
+        albedo: Tensor,
+        tail: bool = False,
+    ) -> None:
+        self.rays = probe_rays(len(view.pixel))
+        part = view.part(self.rays)
+        some = strata.part(self.rays)
         self._bags: list[list[tuple[Tensor, Tensor]]] = [[] for _ in strata.opacity]
         for bags in gather_bags(lattice, part.origin, part.direction, some):
             self._bags[bags.extinction].append((entry[bags.numbers], bags.weights))
+        phase = evaluate_phase_function(part.direction @ view.sun, asymmetry[:, None])
+        self._single, self._single_error = ((phase[:, None] * one[:, self.rays]).double() for one in single)
+        self._albedo, self._powers = albedo.double(), albedo.double()[:, None] ** torch.tensor(plan.knots)
+        self._plan, self._tail = plan, tail
 
     def gather(self, node: int, source: Tensor) -> Tensor:
         """Images `(ray, half, asymmetry)` of a source `(point, half, asymmetry)` at one extinction."""
         source = source.flatten(1)
         rows = [embedding_bag(bag, source, per_sample_weights=weights, mode="sum") for bag, weights in self._bags[node]]
         return torch.cat(rows).unflatten(1, (2, -1))
+
+    def composed(self, node: int, raw: Tensor, smooth: Tensor) -> Tensor:
+        """Relative RMS error of composed images `(albedo, asymmetry)`.
+
+        Args:
+            node: number of the extinction.
+            raw: images without smoothing `(ray, half, knot, asymmetry)`.
+            smooth: with it, likewise.
+        """
+        powers = self._powers[:, None, :, None].expand(-1, 2, -1, raw.shape[3])
+        return self._weighted(node, raw, smooth, self._albedo, powers)
+
+    def brightest(self, node: int, raw: Tensor, smooth: Tensor) -> Tensor:
+        """The same at albedo one `(asymmetry,)`; each half closes its tail by itself, since a noisy decay makes a noisy tail."""
+        powers = torch.ones(1, *smooth.shape[1:], dtype=torch.float64)
+        if self._tail and self._plan.largest_order > SEPARATE_ORDERS:
+            ratio, share = close_tail(self._plan, smooth.double().mean(0).movedim(1, 0))
+            beyond = sum_tail(ratio.flatten(), self._plan.largest_order).unflatten(0, ratio.shape)
+            powers[0, :, -1] += share * beyond
+        return self._weighted(node, raw, smooth, torch.ones(1, dtype=torch.float64), powers)[0]
+
+    def _weighted(self, node: int, raw: Tensor, smooth: Tensor, albedo: Tensor, powers: Tensor) -> Tensor:
+        """Relative RMS error `(albedo, asymmetry)` of images with weights `(albedo, half, knot, asymmetry)`."""
+        of_raw, of_smooth = (torch.einsum("ahkg,rhkg->rhag", powers, image.double()) for image in (raw, smooth))
+        errors = LevelErrors.of(of_raw, of_smooth)
+        total = albedo[:, None] * self._single[:, node].T[:, None] + of_smooth.mean(1)
+        of_single = albedo[:, None].square() * self._single_error[:, node].square().mean(1)
+        return relative_error(errors.total + of_single, total.square().mean(0))
 
     def smooth(self, node: int, source: Tensor, neighbours: Neighbourhood, model: SourceModel) -> SmoothSource:
         """Smooth the source at one extinction, image by image so that the levels of one only are held at once.
@@ -79,68 +128,13 @@ class SourceProbe:
             power = smooth[-1].double().mean(1).square().mean(0)
             of_knots.append(relative_error(errors.gather(0, best[None])[0], power))
             result.append(_choose(levels, best).mean(1))
+        both = torch.stack(raw, dim=2), torch.stack(smooth, dim=2)
         return SmoothSource(
-            torch.stack(result, dim=1), torch.stack(of_knots), torch.stack(raw, dim=2), torch.stack(smooth, dim=2)
+            torch.stack(result, dim=1),
+            torch.stack(of_knots),
+            self.composed(node, *both),
+            self.brightest(node, *both),
         )
-
-
-class ImageProbe:
-    """Estimates errors of composed images on the same rays.
-
-    Args:
-        view: of all rays.
-        single: single scattering and its error, each `(extinction, ray)`.
-        asymmetry: nodes `(asymmetry,)`.
-        plan: of all orders.
-        albedo: at which the composed image is judged `(albedo,)`.
-        tail: whether the orders beyond the last are added by their decay.
-    """
-
-    def __init__(
-        self,
-        view: View,
-        single: tuple[Tensor, Tensor],
-        asymmetry: Tensor,
-        plan: OrderPlan,
-        albedo: Tensor,
-        tail: bool = False,
-    ) -> None:
-        rays = probe_rays(len(view.pixel))
-        phase = evaluate_phase_function(view.direction[rays] @ view.sun, asymmetry[:, None])
-        self._single, self._single_error = ((phase[:, None] * one[:, rays]).double() for one in single)
-        self._albedo, self._powers = albedo.double(), albedo.double()[:, None] ** torch.tensor(plan.knots)
-        self._plan, self._tail = plan, tail
-
-    def composed(self, node: int, raw: Tensor, smooth: Tensor) -> Tensor:
-        """Relative RMS error of composed images `(albedo, asymmetry)`.
-
-        Args:
-            node: number of the extinction.
-            raw: images without smoothing `(ray, half, knot, asymmetry)`.
-            smooth: with it, likewise.
-        """
-        powers = self._powers[:, None, :, None].expand(-1, 2, -1, raw.shape[3])
-        return self._weighted(node, raw, smooth, self._albedo, powers)
-
-    def brightest(self, node: int, raw: Tensor, smooth: Tensor) -> Tensor:
-        """The same at albedo one, with the orders beyond the last where they are added `(asymmetry,)`.
-
-        Each half closes its tail by itself, since a noisy decay makes a noisy tail.
-        """
-        powers = torch.ones(1, *smooth.shape[1:], dtype=torch.float64)
-        if self._tail and self._plan.largest_order > SEPARATE_ORDERS:
-            ratio, share = close_tail(self._plan, smooth.double().mean(0).movedim(1, 0))
-            beyond = sum_tail(ratio.flatten(), self._plan.largest_order).unflatten(0, ratio.shape)
-            powers[0, :, -1] += share * beyond
-        return self._weighted(node, raw, smooth, torch.ones(1, dtype=torch.float64), powers)[0]
-
-    def _weighted(self, node: int, raw: Tensor, smooth: Tensor, albedo: Tensor, powers: Tensor) -> Tensor:
-        """Relative RMS error `(albedo, asymmetry)` of images with weights `(albedo, half, knot, asymmetry)`."""
-        of_raw, of_smooth = (torch.einsum("ahkg,rhkg->rhag", powers, image.double()) for image in (raw, smooth))
-        errors = LevelErrors.of(of_raw, of_smooth)
-        total = albedo[:, None] * self._single[:, node].T[:, None] + of_smooth.mean(1)
-        of_single = albedo[:, None].square() * self._single_error[:, node].square().mean(1)
-        return relative_error(errors.total + of_single, total.square().mean(0))
 
 
 def probe_rays(count: int) -> Tensor:

@@ -86,7 +86,7 @@ class GroupTask:
     def source_table(self, lattice: Lattice, plan: OrderPlan, nodes: TableNodes, stream: int) -> SourceTable:
         """Empty table of the source on a lattice; `stream` tells its random numbers from those of the group's other tables."""
         view = self.view
-        return SourceTable(view.grid, view.camera, view.sun, lattice, nodes, plan, self.step, 3 * self.seed + stream)
+        return SourceTable(view.grid, view.camera, view.sun, lattice, nodes, plan, self.step, 2 * self.seed + stream)
 
     def carry(self, plan: OrderPlan, points: int, on_progress: Callable[[float], None]) -> CarriedOrders | None:
         """High orders, carried on a lattice of at most so many points; None where that is too coarse, or nothing is left to carry."""

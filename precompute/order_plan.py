@@ -40,7 +40,7 @@ class OrderPlan:
     """Orders and their images.
 
     Args:
-        knots: exponents of the albedo, one an image; the last is the largest order.
+        knots: exponents of the albedo, one an image; the first is two, the last the largest order.
         shares: weight of each order's contribution to each knot's image `(order, knot)`, order two first.
         continuation: probability to go on to each order `(order,)`.
         connection: probability to connect a vertex of each order, and a branch, to the sun `(order,)`.
@@ -55,12 +55,6 @@ class OrderPlan:
     def largest_order(self) -> int:
         """Largest number of scatterings."""
         return self.knots[-1]
-
-    def beyond_two(self) -> "OrderPlan":
-        """All orders but the second, which no vertex is connected to the sun for."""
-        shares, connection = self.shares[:, 1:].clone(), self.connection.clone()
-        shares[0], connection[0] = 0.0, 0.0
-        return OrderPlan(self.knots[1:], shares, self.continuation, connection)
 
     def until(self, order: int) -> "OrderPlan":
         """The orders up to a knot."""

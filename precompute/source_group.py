@@ -6,14 +6,14 @@ step and its own set of paths for all of its nodes.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
-from precompute.carried_orders import POINTS_SHARE, CarriedOrders
+from precompute.carried_orders import POINTS_SHARE, CarriedOrders, last_traced_orders
 from precompute.error_budget import (
     OMITTED_SHARE,
     Effort,
@@ -22,20 +22,25 @@ from precompute.error_budget import (
     box_error,
     next_pass,
 )
-from precompute.error_probe import ImageProbe, SmoothSource, probe_rays
-from precompute.gather import Strata, gather_bags, stratify_rays
+from precompute.error_probe import ErrorProbe, SmoothSource, probe_rays
+from precompute.gather import Lattice, Strata, gather_bags, lattice_over, stratify_rays
 from precompute.group_task import GroupTask
 from precompute.order_plan import OrderPlan, plan_orders
 from precompute.single_scattering import compute_single_scattering
-from precompute.source_layer import SourceLayer, place_points
-from precompute.source_points import allocate_paths
+from precompute.smoothing import find_neighbours
+from precompute.source_model import SourceModel, Surroundings, measure_surroundings
+from precompute.source_points import SourceTable, allocate_paths
+from precompute.view import View
 from render.phase_functions import evaluate_phase_function
 
-SECOND_POINTS = 2.5
-"""Source points of the second order over those of the others. Each has half of the paths, which are short for the second."""
+THICK_SPACING = 0.5
+"""Closest lattice in voxels: pixels and density vary over a voxel, not over less."""
 
 FAINT_SHARE, FAINT_EFFORT = 5.0, 0.1
 """Multiple scattering below so many times the tolerance gets a tenth of the points and paths; the error is estimated as ever."""
+
+LARGEST_LATTICE = 1 << 24
+"""Lattice points that may be numbered, whether or not they are used."""
 
 PILOT_POINTS, PILOT_PATHS = 2000, 32_000
 """Source points and paths of the pilot that says how fast the orders decay."""
@@ -98,17 +103,22 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
         report(1.0)
         return _single_only(task, single, pilot.complete(torch.empty(0), phase[:, None] * single), pilot, clock)
     plan, effort = plan_orders(pilot.plan.knots[pilot.enough - 1]), pilot.suited(task.effort)
+    lattice, importance = _place_points(view, strata, effort.points)
+    clock.lap("source points")
     carried = task.carry(plan, round(POINTS_SHARE * effort.points), lambda share: report(0.1 + 0.1 * share))
     clock.lap("carried orders")
-    layers = [SourceLayer(task, strata, round(SECOND_POINTS * effort.points), plan.until(2), 1, None)]
-    if plan.largest_order > 2:
-        layers.append(SourceLayer(task, strata, effort.points, plan.beyond_two(), 2, carried))
-    clock.lap("source points")
-    _trace(layers, effort.first_paths, lambda share: report(0.2 + 0.1 * share))
+    table = _path_table(task, lattice, plan, carried)
+    table.add_pass(allocate_paths(importance, effort.first_paths), lambda share: report(0.2 + 0.1 * share))
     clock.lap("paths")
-    probe = ImageProbe(view, (single, single_error), task.asymmetry, plan, task.albedo, effort.tail)
-    reason = _add_passes(replace(task, effort=effort), layers, probe, clock, report)
-    multiple, errors = _gather(layers, probe)
+    entry = torch.zeros(lattice.size, dtype=torch.int32)
+    entry[table.numbers] = torch.arange(len(table.numbers), dtype=torch.int32)
+    once = (single, single_error)
+    probe = ErrorProbe(view, lattice, entry, strata, once, task.asymmetry, plan, task.albedo, effort.tail)
+    surroundings = measure_surroundings(view.grid, view.camera, view.sun, lattice.positions(table.numbers))
+    clock.lap("source model")
+    smoother = _Smoother(table, carried, probe, surroundings, task.extinction)
+    reason = _add_passes(task, table, importance, smoother, clock, report)
+    multiple, errors = _gather(view, lattice, entry, strata, smoother)
     clock.lap("images")
     report(1.0)
     image_error = torch.stack([one.of_image for one in errors], dim=2)
@@ -120,51 +130,63 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
         torch.stack([one.of_knots for one in errors], dim=2).to(torch.float32),
         image_error.to(torch.float32),
         torch.stack([one.of_bright for one in errors], dim=1).to(torch.float32),
-        torch.cat([layer.effective_share() for layer in layers]),
-        _describe(task, plan, pilot.omitted, layers, carried, box_error(image_error), reason, clock),
+        _shares_of_all(table, plan),
+        _describe(task, plan, pilot.omitted, table, carried, box_error(image_error), reason, clock),
     )
 
 
-def _trace(layers: list[SourceLayer], paths: int, on_progress: Callable[[float], None]) -> None:
-    """Trace about so many more paths in all."""
-    for number, layer in enumerate(layers):
-        layer.add_pass(
-            max(1, round(paths / len(layers))),
-            lambda share, number=number: on_progress((number + share) / len(layers)),  # type: ignore[misc]
-        )
+def _path_table(task: GroupTask, lattice: Lattice, plan: OrderPlan, carried: CarriedOrders | None) -> SourceTable:
+    """Empty table of the orders that are not carried."""
+    if carried is None:
+        return task.source_table(lattice, plan, task.nodes(), 1)
+    last = min(int(last_traced_orders(task.asymmetry).max()), plan.largest_order)
+    return task.source_table(lattice, plan.until(last), task.nodes(last_traced_orders), 1)
 
 
-@dataclass(frozen=True, eq=False)
-class _NodeErrors:
-    """At one extinction: of each image `(knot, asymmetry)`, of the composed one `(albedo, asymmetry)`, and that at albedo one."""
+class _Smoother:
+    """Smooths what a table of paths holds at the time, with the orders that were carried."""
 
-    of_knots: Tensor
-    of_image: Tensor
-    of_bright: Tensor
+    def __init__(
+        self,
+        table: SourceTable,
+        carried: CarriedOrders | None,
+        probe: ErrorProbe,
+        surroundings: Surroundings,
+        extinction: Tensor,
+    ) -> None:
+        self._table, self._carried, self._probe = table, carried, probe
+        self._surroundings, self._extinction = surroundings, extinction
 
-
-def _estimate(node: int, layers: tuple[SmoothSource, ...], probe: ImageProbe) -> _NodeErrors:
-    """Errors of what all layers make together."""
-    raw, smooth = (torch.cat(images, dim=2) for images in zip(*((one.raw, one.smooth) for one in layers), strict=True))
-    return _NodeErrors(
-        torch.cat([one.of_knots for one in layers]),
-        probe.composed(node, raw, smooth),
-        probe.brightest(node, raw, smooth),
-    )
+    def at(self, nodes: Iterable[int]) -> Iterator[SmoothSource]:
+        """The source at some of the extinctions."""
+        table = self._table
+        neighbours = find_neighbours(table.lattice, table.numbers, table.paths)
+        for node in nodes:
+            source = of_paths = table.source[node]
+            if self._carried is not None:
+                source = self._carried.at(node, table.lattice.positions(table.numbers))
+                source[:, :, : of_paths.shape[2]] += of_paths
+            model = SourceModel(self._surroundings.features(float(self._extinction[node])), table.paths)
+            yield self._probe.smooth(node, source, neighbours, model)
 
 
 def _add_passes(
-    task: GroupTask, layers: list[SourceLayer], probe: ImageProbe, clock: _Clock, report: Callable[[float], None]
+    task: GroupTask,
+    table: SourceTable,
+    importance: Tensor,
+    smoother: _Smoother,
+    clock: _Clock,
+    report: Callable[[float], None],
 ) -> StopReason:
     """Trace paths until the effort's tolerance is met or its limits are reached."""
     while True:
-        done = sum(layer.paths for layer in layers)
+        done = int(table.paths.sum())
         if task.effort.tolerance is None:
             return StopReason.FIXED
         if done >= task.effort.paths:
             return StopReason.PATHS
-        sources = enumerate(zip(*(layer.smooth() for layer in layers), strict=True))
-        errors = [_estimate(node, smooth, probe).of_image for node, smooth in sources]
+        # Every second extinction tells as much of what more paths would bring.
+        errors = [smooth.of_image for smooth in smoother.at(range(len(task.extinction) - 1, -1, -2))]
         clock.lap("smoothing")
         following = next_pass(
             task.effort, done, box_error(torch.stack(errors)), clock.total, clock.seconds["paths"] / max(done, 1)
@@ -172,18 +194,27 @@ def _add_passes(
         if isinstance(following, StopReason):
             return following
         share = done / (done + following)
-        _trace(layers, following, lambda part, share=share: report(0.3 + 0.6 * (share + (1.0 - share) * part)))  # type: ignore[misc]
+        table.add_pass(
+            allocate_paths(importance, following),
+            lambda part, share=share: report(0.3 + 0.6 * (share + (1.0 - share) * part)),  # type: ignore[misc]
+        )
         clock.lap("paths")
 
 
-def _gather(layers: list[SourceLayer], probe: ImageProbe) -> tuple[Tensor, list[_NodeErrors]]:
+def _gather(
+    view: View, lattice: Lattice, entry: Tensor, strata: Strata, smoother: _Smoother
+) -> tuple[Tensor, list[SmoothSource]]:
     """Smoothed images `(knot, asymmetry, extinction, pixel)`, and their errors at each extinction."""
     images, errors = [], []
-    for node, sources in enumerate(zip(*(layer.smooth() for layer in layers), strict=True)):
-        images.append(
-            torch.cat([layer.gather(node, one.source) for layer, one in zip(layers, sources, strict=True)])
-        )
-        errors.append(_estimate(node, sources, probe))
+    for node, smooth in enumerate(smoother.at(range(len(strata.opacity)))):
+        columns, shape = smooth.source.flatten(1), smooth.source.shape[1:]
+        image = torch.empty(*shape, len(view.pixel))
+        for bags in gather_bags(lattice, view.origin, view.direction, strata.at(node)):
+            rows = embedding_bag(entry[bags.numbers], columns, per_sample_weights=bags.weights, mode="sum")
+            # The model may fall below zero where it is dark.
+            image[:, :, bags.rays] = rows.unflatten(1, shape).movedim(0, -1).clamp_(min=0.0)
+        images.append(image)
+        errors.append(smooth)
     return torch.stack(images, dim=2), errors
 
 
@@ -239,7 +270,7 @@ def _fly_pilot(task: GroupTask, strata: Strata, single: Tensor) -> Pilot:
         return Pilot(plan, len(plan.knots), 0.0, 1.0, None)
     rays = probe_rays(len(task.view.pixel))
     view, part = task.view.part(rays), strata.part(rays)
-    lattice, importance = place_points(view, part, PILOT_POINTS)
+    lattice, importance = _place_points(view, part, PILOT_POINTS)
     table = task.source_table(lattice, plan, task.nodes(), 0)
     table.add_pass(allocate_paths(importance, PILOT_PATHS))
     entry = torch.zeros(lattice.size, dtype=torch.int32)
@@ -273,34 +304,57 @@ def _shares_beyond(albedo: float, single: Tensor, mean: Tensor, knots: Tensor) -
     return (beyond / (albedo * single + energy.sum(0)).clamp(min=1e-300)).flatten(1).amax(1)
 
 
+def _place_points(view: View, strata: Strata, points: int) -> tuple[Lattice, Tensor]:
+    """Lattice as fine as the number of points allows, and the importance of each of its points: summed squared weights."""
+    finest = max(THICK_SPACING, (view.grid.density.numel() / LARGEST_LATTICE) ** (1.0 / 3.0))
+    stretch = max(finest, 1.0)
+    for _ in range(3):
+        lattice = lattice_over(view.grid, stretch)
+        importance = torch.zeros(lattice.size, dtype=torch.float64)
+        for bags in gather_bags(lattice, view.origin, view.direction, strata):
+            importance.index_add_(0, bags.numbers.flatten(), bags.weights.flatten().double().square())
+        used = int((importance > 0).sum())
+        wanted = max(finest, stretch * (used / points) ** 0.4)
+        if 0.8 < wanted / stretch < 1.25:
+            break
+        stretch = wanted
+    return lattice, importance
+
+
 def _single_only(task: GroupTask, single: Tensor, multiple: Tensor, pilot: Pilot, clock: _Clock) -> GroupImages:
     """A group whose multiple scattering is not traced."""
     nodes = (len(task.asymmetry), len(task.extinction))
     error = torch.full((len(task.albedo), *nodes), pilot.omitted)
-    report = _describe(task, None, pilot.omitted, [], None, pilot.omitted, StopReason.SINGLE, clock)
+    report = _describe(task, None, pilot.omitted, None, None, pilot.omitted, StopReason.SINGLE, clock)
     return GroupImages(single, multiple, torch.zeros(0, *nodes), error, error[0], torch.zeros(0, *nodes), report)
+
+
+def _shares_of_all(table: SourceTable, plan: OrderPlan) -> Tensor:
+    """Effective share of the paths for each image; one for those that no path adds to."""
+    share = torch.where(table.effective_share > 0.0, table.effective_share, 1.0)
+    return torch.cat([share, torch.ones(len(plan.knots) - len(share), *share.shape[1:])])
 
 
 def _describe(
     task: GroupTask,
     plan: OrderPlan | None,
     omitted: float,
-    layers: list[SourceLayer],
+    table: SourceTable | None,
     carried: CarriedOrders | None,
     error: float,
     reason: StopReason,
     clock: _Clock,
 ) -> GroupReport:
     depth = task.extinction * task.view.largest_optical_length
-    voxel = task.view.grid.voxel_size
+    grid = task.view.grid
     return GroupReport(
         thinnest=float(depth[0]),
         thickest=float(depth[-1]),
         largest_order=1 if plan is None else plan.largest_order,
         omitted_share=omitted,
-        points=sum(len(layer.table.numbers) for layer in layers),
-        spacing=min((float((layer.table.lattice.spacing / voxel).max()) for layer in layers), default=0.0),
-        paths=sum(layer.paths for layer in layers),
+        points=0 if table is None else len(table.numbers),
+        spacing=0.0 if table is None else float((table.lattice.spacing / grid.voxel_size).max()),
+        paths=0 if table is None else int(table.paths.sum()),
         carried_points=0 if carried is None else len(carried.lattice.numbers),
         error=error,
         stop_reason=reason.value,
