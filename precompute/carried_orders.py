@@ -29,7 +29,8 @@ from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 from precompute.direction_sets import DirectionSet, turned_directions
-from precompute.free_flight import fly, march_to_sun
+from precompute.drawn_flights import BITS, FRACTIONS, DrawnFlights, draw_flights
+from precompute.free_flight import march_to_sun
 from precompute.in_threads import map_in_threads
 from precompute.light_lattice import LightLattice, light_lattice_over, spacing_for
 from precompute.order_plan import LARGEST_RATIO, SEPARATE_ORDERS, OrderPlan, place_knots
@@ -69,15 +70,8 @@ carried light 13 per cent too bright in a cloud of optical depth 35, where this 
 FAINT = 1e-4
 """Share of the light so far that an order adds below which none is carried further."""
 
-BITS, FRACTIONS = 10, (1 << 10) - 1
-"""Of a place within a cell along each axis, and the largest number that they hold."""
-
 MEAN_SPREAD = torch.tensor([1.0 / 12.0])
 """Half of w (1 - w) on average over a cell, for places that are anywhere."""
-
-STEPS = (0.7548776662466927, 0.5698402909980532)
-"""Of the flights' quantiles from direction to direction: a lattice in two dimensions (Roberts 2018, "The unreasonable effectiveness
-of quasirandom sequences")."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,65 +149,40 @@ def carry_orders(
     draws = [counter_uniform(of_half[:SETS, None].expand(-1, 3), torch.arange(3).expand(SETS, -1)) for of_half in keys]
     sets = [[turned_directions(DEGREE, turn) for turn in of_half] for of_half in draws]
 
+    def draw(piece: int) -> list[DrawnFlights]:
+        half, turn = divmod(piece, SETS)
+        shift = counter_uniform(keys[half][SETS:], turn)
+        return draw_flights(view.grid, lattice, sets[half][turn], extinction, shift, step)
+
+    flights = map_in_threads(draw, 2 * SETS, lambda done: on_progress(0.3 * done / (2 * SETS)))
+
     def carry(piece: int) -> Tensor:
         node, half = divmod(piece, 2)
-        carrier = _Carrier(view, lattice, float(extinction[node]), step, sets[half], keys[half][SETS:])
+        of_sets = [flights[half * SETS + turn][node] for turn in range(SETS)]
+        carrier = _Carrier(view, lattice, float(extinction[node]), step, sets[half], of_sets)
         source = carrier.carry(asymmetry, plan)
         return lattice.sharpen(source.flatten(1), MEAN_SPREAD).view_as(source)
 
-    pieces = map_in_threads(carry, 2 * len(extinction), lambda done: on_progress(0.5 * done / len(extinction)))
+    nodes = len(extinction)
+    pieces = map_in_threads(carry, 2 * nodes, lambda done: on_progress(0.3 + 0.35 * done / nodes))
     source = torch.stack(pieces).unflatten(0, (-1, 2))
     return CarriedOrders(lattice, source)
-
-
-@dataclass(frozen=True, eq=False)
-class _Flights:
-    """Where flights from each point end, one along each direction.
-
-    Args:
-        cell: lattice point at the low corner of that place `(direction, point)` int32; -1 where the flight left the volume.
-        fraction: along x, y and z within the cell, in `BITS` each `(direction, point)` int32.
-        spread: of interpolation around each point, see `LightLattice.sharpen` `(point,)`.
-    """
-
-    cell: Tensor
-    fraction: Tensor
-    spread: Tensor
-
-    def part(self, directions: slice) -> "_Flights":
-        """The flights along some directions."""
-        return _Flights(self.cell[directions], self.fraction[directions], self.spread)
 
 
 class _Carrier:
     """Carries orders at one extinction."""
 
     def __init__(
-        self, view: View, lattice: LightLattice, extinction: float, step: float, sets: list[DirectionSet], keys: Tensor
+        self,
+        view: View,
+        lattice: LightLattice,
+        extinction: float,
+        step: float,
+        sets: list[DirectionSet],
+        flights: list[DrawnFlights],
     ) -> None:
         self._view, self._lattice, self._extinction, self._step = view, lattice, extinction, step
-        self._sets = sets
-        self._flights = [self._draw(one, counter_uniform(keys, turn)) for turn, one in enumerate(sets)]
-
-    def _draw(self, directions: DirectionSet, shift: Tensor) -> _Flights:
-        """One flight from each point along each direction; `shift` `(point,)` in 0..1 is its own of each point."""
-        position, counts = self._lattice.positions, torch.tensor(self._lattice.lattice.counts)
-        around = 2 * (DEGREE + 1)
-        cells, fractions, ends = [], [], []
-        for number, direction in enumerate(directions.direction):
-            moved = shift.double() + number // around * STEPS[0] + number % around * STEPS[1]
-            share = (moved % 1.0).clamp(2.0**-30, 1.0 - 2.0**-30)
-            target = (-torch.log1p(-share) / self._extinction).float()
-            flight = fly(self._view.grid, position, direction.expand_as(position).contiguous(), target, self._step)
-            place = (flight.position - self._lattice.lattice.corner) / self._lattice.lattice.spacing
-            cell = place.int().clamp(min=0).minimum((counts - 2).clamp(min=0).int())
-            within = ((place - cell).clamp(0.0, 1.0) * FRACTIONS).round().int()
-            low = cell[:, 0] + int(counts[0]) * (cell[:, 1] + int(counts[1]) * cell[:, 2])
-            cells.append(torch.where(flight.collided, low, -1))
-            ends.append(flight.position[flight.collided])
-            fractions.append(within[:, 0] + (within[:, 1] << BITS) + (within[:, 2] << 2 * BITS))
-        # A fourth of the flights tells the mean.
-        return _Flights(torch.stack(cells), torch.stack(fractions), self._lattice.measure_spread(ends[::4]))
+        self._sets, self._flights = sets, flights
 
     def carry(self, asymmetry: Tensor, plan: OrderPlan) -> Tensor:
         """J of the orders beyond those traced `(point, knot, asymmetry)`."""
@@ -319,7 +288,7 @@ def _sharpen_fused(lattice: LightLattice, light: Tensor, spread: Tensor, sharp: 
     sharpen_light(light, lattice.neighbours, spread, sharp)
 
 
-def _gather(lattice: LightLattice, along: Tensor, flights: _Flights, brought: Tensor) -> None:
+def _gather(lattice: LightLattice, along: Tensor, flights: DrawnFlights, brought: Tensor) -> None:
     """Values where the flights end."""
     box = lattice.lattice
     nx, ny, _ = box.counts
@@ -333,7 +302,7 @@ def _gather(lattice: LightLattice, along: Tensor, flights: _Flights, brought: Te
         result.copy_(embedding_bag(numbers, values, per_sample_weights=weights, mode="sum"))
 
 
-def _gather_fused(lattice: LightLattice, along: Tensor, flights: _Flights, brought: Tensor) -> None:
+def _gather_fused(lattice: LightLattice, along: Tensor, flights: DrawnFlights, brought: Tensor) -> None:
     from precompute.fused_gather import gather_flights  # needs numba
 
     counts = torch.tensor(lattice.lattice.counts)

@@ -44,7 +44,9 @@ def turned_directions(degree: int, uniform: Tensor) -> DirectionSet:
     direction = plain.reshape(-1, 3) @ _rotation(uniform.double()).T
     harmonics = evaluate_harmonics(direction, degree)
     weights = (weight * (2.0 * math.pi / count)).repeat_interleave(count)
-    return DirectionSet(direction.float(), harmonics.float(), (harmonics * weights[:, None]).T.float().contiguous(), count)
+    return DirectionSet(
+        direction.float(), harmonics.float(), (harmonics * weights[:, None]).T.float().contiguous(), count
+    )
 
 
 def _rotation(uniform: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from precompute.carried_orders import BITS, FRACTIONS
+from precompute.drawn_flights import BITS, FRACTIONS
 from render.fused import announce_compilation, run_in_threads
 from render.fused_trilinear import Floats
 
@@ -79,7 +79,7 @@ def gather_flights(
         along: values at the points for each direction `(direction, point, column)`.
         entry: number of each lattice point among the points `(lattice point,)` int32.
         counts: of the lattice's points along x, y and z `(3,)`.
-        cell, fraction: of the ends, see `carried_orders`, `(direction, point)` int32.
+        cell, fraction: of the ends, see `DrawnFlights`, `(direction, point)` int32.
         brought: receives them `(direction, point, column)`, zero for flights that left.
     """
     # Along an axis of one point both corners are that one.
