@@ -51,11 +51,14 @@ SETS = 2
 CELL_DEPTH, DEEPEST_CELL = 1.4, 3.5
 """Optical depth of the densest cell between lattice points that is aimed at, and beyond which paths are better."""
 
-COARSEST = 4.0
-"""Spacing of the lattice in voxels, however thin the cloud."""
+COARSEST = 1.0 / 32.0
+"""Spacing of the lattice over the longest edge of the volume, however thin the cloud."""
 
 CARRIED_ASYMMETRIES = 8
 """At most; others are interpolated between them. Eight numbers of 32 bits fill a vector register."""
+
+FEATURE_STRIDE = 2
+"""Of the carried asymmetries that features are made of."""
 
 POINTS_SHARE = 0.2
 """Points of the lattice over source points, at most."""
@@ -81,10 +84,13 @@ class CarriedOrders:
     Args:
         lattice: of the points.
         source: J, sharpened, `(extinction, half, point, knot, asymmetry)` [1/sr], for unit sunlight and albedo one.
+        features: J of the orders two to four at some asymmetries, sharpened, `(extinction, point, feature)`: too rough to be taken for
+            the orders that are traced, but nearly without noise.
     """
 
     lattice: LightLattice
     source: Tensor
+    features: Tensor
 
     def at(self, node: int, position: Tensor) -> Tensor:
         """J at positions `(position, 3)` [m] at one extinction: `(position, half, knot, asymmetry)`."""
@@ -94,6 +100,10 @@ class CarriedOrders:
             for half in self.source[node]
         ]
         return torch.stack(halves, dim=1)
+
+    def features_at(self, node: int, position: Tensor) -> Tensor:
+        """Features at positions `(position, 3)` [m] at one extinction `(position, feature)`."""
+        return self.lattice.interpolate(self.features[node], position)
 
 
 def last_traced_orders(asymmetry: Tensor) -> Tensor:
@@ -116,7 +126,8 @@ def carried_asymmetries(asymmetry: Tensor) -> Tensor:
 
 def resolving_lattice(grid: DensityGrid, extinction: float, points: int) -> LightLattice | None:
     """Lattice that resolves the mean free paths at an extinction [1/m] with so many points, about; None if they are too few."""
-    lattice = light_lattice_over(grid, min(COARSEST, spacing_for(grid, extinction, CELL_DEPTH)), points)
+    coarsest = COARSEST * max(grid.density.shape)
+    lattice = light_lattice_over(grid, min(coarsest, spacing_for(grid, extinction, CELL_DEPTH)), points)
     cell_depth = extinction * grid.maximum * float(lattice.lattice.spacing.max())
     return lattice if cell_depth <= DEEPEST_CELL else None
 
@@ -156,17 +167,17 @@ def carry_orders(
 
     flights = map_in_threads(draw, 2 * SETS, lambda done: on_progress(0.3 * done / (2 * SETS)))
 
-    def carry(piece: int) -> Tensor:
+    def carry(piece: int) -> tuple[Tensor, Tensor]:
         node, half = divmod(piece, 2)
         of_sets = [flights[half * SETS + turn][node] for turn in range(SETS)]
         carrier = _Carrier(view, lattice, float(extinction[node]), step, sets[half], of_sets)
-        source = carrier.carry(asymmetry, plan)
-        return lattice.sharpen(source.flatten(1), MEAN_SPREAD).view_as(source)
+        source, low = carrier.carry(asymmetry, plan)
+        return lattice.sharpen(source.flatten(1), MEAN_SPREAD).view_as(source), lattice.sharpen(low, MEAN_SPREAD)
 
     nodes = len(extinction)
     pieces = map_in_threads(carry, 2 * nodes, lambda done: on_progress(0.3 + 0.35 * done / nodes))
-    source = torch.stack(pieces).unflatten(0, (-1, 2))
-    return CarriedOrders(lattice, source)
+    source, low = (torch.stack(ones).unflatten(0, (-1, 2)) for ones in zip(*pieces, strict=True))
+    return CarriedOrders(lattice, source, low.mean(1))
 
 
 class _Carrier:
@@ -184,8 +195,8 @@ class _Carrier:
         self._view, self._lattice, self._extinction, self._step = view, lattice, extinction, step
         self._sets, self._flights = sets, flights
 
-    def carry(self, asymmetry: Tensor, plan: OrderPlan) -> Tensor:
-        """J of the orders beyond those traced `(point, knot, asymmetry)`."""
+    def carry(self, asymmetry: Tensor, plan: OrderPlan) -> tuple[Tensor, Tensor]:
+        """J of the orders beyond those traced `(point, knot, asymmetry)`, and features from those below, see `CarriedOrders`."""
         view, position, traced = self._view, self._lattice.positions, last_traced_orders(asymmetry)
         carried = carried_asymmetries(asymmetry)
         between = cubic_weights(carried, asymmetry).T
@@ -196,7 +207,7 @@ class _Carrier:
         light = (sun[:, None] * damping)[:, None] * torch.exp(-self._extinction * length)[:, None]
         space, towards_camera = _Space.like(light, self._sets[0].ring), torch.empty_like(light[0])
         found = torch.zeros(len(plan.knots), len(position), len(asymmetry))
-        energy: list[Tensor] = []
+        energy, low = list[Tensor](), list[Tensor]()
         last = min(plan.largest_order, LAST_CARRIED)
         for order in range(2, last + 1):
             if order == HIGH_ORDER + 1:
@@ -206,6 +217,8 @@ class _Carrier:
             torch.mul(light[0], towards[0, :, None], out=towards_camera)
             for one, harmonic in zip(light[1:], towards[1:], strict=True):
                 towards_camera.addcmul_(one, harmonic[:, None])
+            if order <= SEPARATE_ORDERS:
+                low.append(towards_camera[:, ::FEATURE_STRIDE].clone())
             source = _interpolate_asymmetries(towards_camera, between)
             energy.append(source.mean(0, dtype=torch.float64))
             shares = plan.shares[order - 2].float()[:, None] * (order > traced)
@@ -213,7 +226,8 @@ class _Carrier:
                 found[knot].addcmul_(source, shares[knot])
             if order > traced.max() and bool((energy[-1].abs() <= FAINT * torch.stack(energy).sum(0)).all()):
                 break
-        return self._extend(found, source, torch.stack(energy), plan).movedim(0, 1).contiguous()
+        whole = self._extend(found, source, torch.stack(energy), plan).movedim(0, 1).contiguous()
+        return whole, torch.cat(low, dim=1)
 
     def _scatter(self, light: Tensor, damping: Tensor, turn: int, space: "_Space") -> None:
         """The next order of light `(harmonic, point, asymmetry)`, in its place."""

@@ -163,11 +163,14 @@ class _Smoother:
         neighbours = find_neighbours(table.lattice, table.numbers, table.paths)
         for node in nodes:
             source = of_paths = table.source[node]
+            features = self._surroundings.features(float(self._extinction[node]))
             if self._carried is not None:
-                source = self._carried.at(node, table.lattice.positions(table.numbers))
+                position = table.lattice.positions(table.numbers)
+                source = self._carried.at(node, position)
+                if features.shape[1] > 1:
+                    features = torch.cat([features, self._carried.features_at(node, position)], dim=1)
                 source[:, :, : of_paths.shape[2]] += of_paths
-            model = SourceModel(self._surroundings.features(float(self._extinction[node])), table.paths)
-            yield self._probe.smooth(node, source, neighbours, model)
+            yield self._probe.smooth(node, source, neighbours, SourceModel(features, table.paths))
 
 
 def _add_passes(

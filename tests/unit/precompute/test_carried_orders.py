@@ -9,6 +9,7 @@ import torch
 
 from precompute import carried_orders
 from precompute.carried_orders import (
+    carried_asymmetries,
     DEGREE,
     CarriedOrders,
     carry_orders,
@@ -78,7 +79,28 @@ def test_a_lattice_that_does_not_resolve_free_paths_is_none() -> None:
     assert len(thin.numbers) <= 330
     cell_depth = 0.1 * grid.maximum * float(thin.lattice.spacing.max())
     assert cell_depth <= carried_orders.DEEPEST_CELL
-    assert resolving_lattice(grid, 2.1, 10_000) is None
+    assert resolving_lattice(grid, 3.6, 10_000) is None
+
+
+def test_eight_asymmetries_are_carried_those_of_narrow_lobes_first() -> None:
+    few, many = torch.linspace(-0.2, 0.9, 8), torch.linspace(0.0, 0.9, 11)
+    assert carried_asymmetries(few) is few
+    kept = carried_asymmetries(many)
+    assert kept.tolist() == pytest.approx([0.0, 0.18, 0.36, 0.54, 0.63, 0.72, 0.81, 0.9])
+    both = carried_asymmetries(torch.linspace(-0.9, 0.9, 21))
+    torch.testing.assert_close(both, -both.flip(0))
+
+
+def test_asymmetries_between_those_carried_are_interpolated(monkeypatch: pytest.MonkeyPatch) -> None:
+    asymmetry = torch.linspace(0.0, 0.9, 11)
+    some = carry(noise_box(), asymmetry=asymmetry).source
+    monkeypatch.setattr(carried_orders, "CARRIED_ASYMMETRIES", 11)
+    all_ = carry(noise_box(), asymmetry=asymmetry).source
+    power = all_.square().mean((0, 1, 2)).sqrt()
+    error = (some - all_).square().mean((0, 1, 2)).sqrt() / power.clamp(min=1e-30)
+    assert float(error.max()) < 0.01
+    assert float(error[:, [1, 3, 5]].max()) > 1e-4
+    assert float(error[:, [0, 2, 4, 6, 7, 8, 9, 10]].max()) < 1e-4
 
 
 @pytest.mark.skipif(not fused_loops_wanted(), reason="the fused loops are turned off")
@@ -124,7 +146,7 @@ def test_shapes_and_progress() -> None:
     carried = carry_orders(view, lattice, ASYMMETRY, EXTINCTION, plan, 0.5, 0, told.append)
     assert carried.source.shape == (2, 2, len(lattice.numbers), len(plan.knots), 3)
     assert carried.at(1, torch.zeros(7, 3)).shape == (7, 2, len(plan.knots), 3)
-    assert told == [0.25, 0.5, 0.75, 1.0]
+    assert told == pytest.approx([0.075, 0.15, 0.225, 0.3, 0.475, 0.65, 0.825, 1.0])
     at_points = carried.at(1, lattice.positions).movedim(1, 0)
     torch.testing.assert_close(at_points, carried.source[1], rtol=1e-4, atol=1e-7)
     assert not torch.allclose(at_points, carried.source[0], rtol=1e-2)
@@ -161,12 +183,15 @@ def scatter_once(light: torch.Tensor, asymmetry: float, depth: float) -> tuple[L
     keys = carried_orders.counter_keys(3, torch.arange(count))
     turns = torch.rand(8, 3, generator=torch.Generator().manual_seed(2))
     sets = [carried_orders.turned_directions(DEGREE, turn) for turn in turns]
-    carrier = carried_orders._Carrier(view, lattice, extinction, 0.5, sets, keys)
+    shifts = [carried_orders.counter_uniform(keys, turn) for turn in range(8)]
+    s = torch.tensor([extinction])
+    flights = [draw_flights(CUBE, lattice, one, s, shift, 0.5)[0] for one, shift in zip(sets, shifts, strict=True)]
+    carrier = carried_orders._Carrier(view, lattice, extinction, 0.5, sets, flights)
     damping = torch.tensor([asymmetry]) ** degrees_of_harmonics(DEGREE, odd=True)[:, None]
     results = []
     for turn in range(8):
         values = light[:, None, None].expand(-1, count, 1).clone()
-        carrier._scatter(values, damping, turn, carried_orders._Space.like(values, len(sets[0].direction)))
+        carrier._scatter(values, damping, turn, carried_orders._Space.like(values, sets[0].ring))
         results.append(values[..., 0])
     return lattice, torch.stack(results).mean(0)
 

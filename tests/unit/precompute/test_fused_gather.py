@@ -6,7 +6,8 @@ import torch
 pytest.importorskip("numba")
 
 from precompute import fused_gather
-from precompute.carried_orders import _Flights, _gather, _sharpen
+from precompute.carried_orders import _gather, _sharpen
+from precompute.drawn_flights import DrawnFlights
 from precompute.fused_gather import gather_flights, sharpen_light
 from precompute.light_lattice import LightLattice, light_lattice_over
 from render.density_grid import DensityGrid
@@ -29,19 +30,25 @@ def lattice_of(name: str) -> LightLattice:
     return light_lattice_over(GRIDS[name](), 1.0, 10_000)
 
 
-def random_flights(lattice: LightLattice, seed: int = 8) -> _Flights:
-    """Ends of flights in any cell, and some that left."""
+def whole_cells(lattice: LightLattice) -> torch.Tensor:
+    """Low corners of the cells whose corners are all points, as those are where a flight can end."""
+    counts = lattice.lattice.counts
+    place = torch.cartesian_prod(*(torch.arange(max(n - 1, 1)) for n in counts)).float()
+    corners, _ = lattice.lattice.corners(lattice.lattice.corner + (place + 0.5) * lattice.lattice.spacing)
+    return corners[torch.isin(corners, lattice.numbers).all(1)][:, 0]
+
+
+def random_flights(lattice: LightLattice, seed: int = 8) -> DrawnFlights:
+    """Ends of flights in any cell with density, and some that left."""
     generator = torch.Generator().manual_seed(seed)
-    shape = (DIRECTIONS, len(lattice.numbers))
-    counts = torch.tensor(lattice.lattice.counts)
-    place = (torch.rand(*shape, 3, generator=generator) * (counts - 1).clamp(min=1)).int()
-    cell = place[..., 0] + int(counts[0]) * (place[..., 1] + int(counts[1]) * place[..., 2])
+    shape, cells = (DIRECTIONS, len(lattice.numbers)), whole_cells(lattice)
+    cell = cells[torch.randint(0, len(cells), shape, generator=generator)]
     cell = torch.where(torch.rand(shape, generator=generator) < 0.2, -1, cell)
     within = torch.randint(0, 1024, (*shape, 3), generator=generator)
     # The ends of a cell, too.
     within = torch.where(torch.rand(within.shape, generator=generator) < 0.1, 1023, within)
     fraction = within[..., 0] + (within[..., 1] << 10) + (within[..., 2] << 20)
-    return _Flights(cell.int(), fraction.int(), 0.125 * torch.rand(shape[1], generator=generator))
+    return DrawnFlights(cell.int(), fraction.int(), 0.125 * torch.rand(shape[1], generator=generator))
 
 
 def random_light(lattice: LightLattice, first: int) -> torch.Tensor:
