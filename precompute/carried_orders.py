@@ -42,8 +42,8 @@ from render.interpolation import cubic_weights
 from render.random_streams import counter_keys, counter_uniform, stream_number
 from render.spherical_harmonics import degrees_of_harmonics, evaluate_harmonics
 
-DEGREE, HIGH_ORDER, HIGH_DEGREE = 5, 10, 3
-"""Of the harmonics; beyond that order light has become rounder."""
+HIGH_ORDER, HIGH_DEGREE = 10, 3
+"""Order beyond which light has become round enough for harmonics up to that degree."""
 
 SETS = 2
 """Of directions that orders take turns with, in each half."""
@@ -60,11 +60,8 @@ CARRIED_ASYMMETRIES = 8
 FEATURE_STRIDE = 2
 """Of the carried asymmetries that features are made of."""
 
-POINTS_SHARE = 0.2
-"""Points of the lattice over source points, at most."""
-
 ROUND = 0.015
-"""Share |g|^(k (DEGREE + 1)) of what the harmonics leave out of order k, from which on that order is carried."""
+"""Share |g|^(k (degree + 1)) of what the harmonics leave out of order k, from which on that order is carried."""
 
 LAST_CARRIED, RATIO_ORDERS = 66, 8
 """Orders beyond have the shape of this one, and fall as the last ones did. A law k^(-3/2) r^k with r from the whole upper half made all
@@ -83,12 +80,14 @@ class CarriedOrders:
 
     Args:
         lattice: of the points.
+        degree: of the harmonics.
         source: J, sharpened, `(extinction, half, point, knot, asymmetry)` [1/sr], for unit sunlight and albedo one.
         features: J of the orders two to four at some asymmetries, sharpened, `(extinction, point, feature)`: too rough to be taken for
             the orders that are traced, but nearly without noise.
     """
 
     lattice: LightLattice
+    degree: int
     source: Tensor
     features: Tensor
 
@@ -106,10 +105,15 @@ class CarriedOrders:
         return self.lattice.interpolate(self.features[node], position)
 
 
-def last_traced_orders(asymmetry: Tensor) -> Tensor:
-    """Last order for which a forward lobe needs paths, for each asymmetry: knots of `plan_orders`, at least the last order of its own."""
+def last_traced_orders(asymmetry: Tensor, degree: int) -> Tensor:
+    """Last order for which a forward lobe needs paths, for each asymmetry: knots of `plan_orders`, at least the last order of its own.
+
+    Args:
+        asymmetry: `(asymmetry,)`.
+        degree: of the harmonics that carry the others.
+    """
     size = asymmetry.double().abs().clamp(1e-6, 1.0 - 1e-6)
-    needed = (math.log(ROUND) / size.log() / (DEGREE + 1)).ceil().long()
+    needed = (math.log(ROUND) / size.log() / (degree + 1)).ceil().long()
     knots = torch.tensor([knot for knot in place_knots(EVERY_ORDER) if knot >= SEPARATE_ORDERS])
     return knots[torch.searchsorted(knots, needed).clamp(max=len(knots) - 1)]
 
@@ -138,6 +142,7 @@ def carry_orders(
     asymmetry: Tensor,
     extinction: Tensor,
     plan: OrderPlan,
+    degree: int,
     step: float,
     seed: int,
     on_progress: Callable[[float], None] = lambda share: None,
@@ -150,6 +155,7 @@ def carry_orders(
         asymmetry: nodes `(asymmetry,)`.
         extinction: nodes `(extinction,)` [1/m].
         plan: all orders and their images.
+        degree: of the harmonics.
         step: longest marching step in voxels.
         seed: of the random numbers.
         on_progress: called with the share that is done.
@@ -158,7 +164,7 @@ def carry_orders(
     # Keys of zero would name the streams of source tables, which have the seed alone.
     keys = [counter_keys(stream_number(seed, 1 + half), torch.arange(count)) for half in range(2)]
     draws = [counter_uniform(of_half[:SETS, None].expand(-1, 3), torch.arange(3).expand(SETS, -1)) for of_half in keys]
-    sets = [[turned_directions(DEGREE, turn) for turn in of_half] for of_half in draws]
+    sets = [[turned_directions(degree, turn) for turn in of_half] for of_half in draws]
 
     def draw(piece: int) -> list[DrawnFlights]:
         half, turn = divmod(piece, SETS)
@@ -177,7 +183,7 @@ def carry_orders(
     nodes = len(extinction)
     pieces = map_in_threads(carry, 2 * nodes, lambda done: on_progress(0.3 + 0.35 * done / nodes))
     source, low = (torch.stack(ones).unflatten(0, (-1, 2)) for ones in zip(*pieces, strict=True))
-    return CarriedOrders(lattice, source, low.mean(1))
+    return CarriedOrders(lattice, degree, source, low.mean(1))
 
 
 class _Carrier:
@@ -194,15 +200,17 @@ class _Carrier:
     ) -> None:
         self._view, self._lattice, self._extinction, self._step = view, lattice, extinction, step
         self._sets, self._flights = sets, flights
+        self._degree = sets[0].degree
 
     def carry(self, asymmetry: Tensor, plan: OrderPlan) -> tuple[Tensor, Tensor]:
         """J of the orders beyond those traced `(point, knot, asymmetry)`, and features from those below, see `CarriedOrders`."""
-        view, position, traced = self._view, self._lattice.positions, last_traced_orders(asymmetry)
+        degree, view, position = self._degree, self._view, self._lattice.positions
+        traced = last_traced_orders(asymmetry, degree)
         carried = carried_asymmetries(asymmetry)
         between = cubic_weights(carried, asymmetry).T
-        damping = carried ** degrees_of_harmonics(DEGREE, odd=True)[:, None].float()
-        towards = evaluate_harmonics(view.camera.directions_at(position).double(), DEGREE).float().T
-        sun = evaluate_harmonics(view.sun.double(), DEGREE).float()
+        damping = carried ** degrees_of_harmonics(degree, odd=True)[:, None].float()
+        towards = evaluate_harmonics(view.camera.directions_at(position).double(), degree).float().T
+        sun = evaluate_harmonics(view.sun.double(), degree).float()
         length = march_to_sun(view.grid, position, view.sun, torch.tensor(self._extinction), self._step)
         light = (sun[:, None] * damping)[:, None] * torch.exp(-self._extinction * length)[:, None]
         space, towards_camera = _Space.like(light, self._sets[0].ring), torch.empty_like(light[0])
@@ -211,7 +219,7 @@ class _Carrier:
         last = min(plan.largest_order, LAST_CARRIED)
         for order in range(2, last + 1):
             if order == HIGH_ORDER + 1:
-                round_ = degrees_of_harmonics(DEGREE, odd=True) <= HIGH_DEGREE
+                round_ = degrees_of_harmonics(self._degree, odd=True) <= HIGH_DEGREE
                 light, damping, towards, space = light[round_], damping[round_], towards[round_], space.part(round_)
             self._scatter(light, damping, order % SETS, space)
             torch.mul(light[0], towards[0, :, None], out=towards_camera)
@@ -219,7 +227,7 @@ class _Carrier:
                 towards_camera.addcmul_(one, harmonic[:, None])
             if order <= SEPARATE_ORDERS:
                 low.append(towards_camera[:, ::FEATURE_STRIDE].clone())
-            source = _interpolate_asymmetries(towards_camera, between)
+            source = towards_camera @ between
             energy.append(source.mean(0, dtype=torch.float64))
             shares = plan.shares[order - 2].float()[:, None] * (order > traced)
             for knot in torch.nonzero(shares.any(1)).flatten().tolist():
@@ -237,7 +245,7 @@ class _Carrier:
         sharpen(self._lattice, light, flights.spread, space.sharp)
         harmonics, projection = directions.harmonics, directions.projection
         if len(light) < len(projection):
-            round_ = degrees_of_harmonics(DEGREE, odd=True) <= HIGH_DEGREE
+            round_ = degrees_of_harmonics(self._degree, odd=True) <= HIGH_DEGREE
             harmonics, projection = harmonics[:, round_], projection[round_]
         light.zero_()
         for first in range(0, len(directions.direction), directions.ring):
@@ -279,16 +287,6 @@ class _Space:
     def part(self, harmonics: Tensor) -> "_Space":
         """For some of the harmonics only."""
         return _Space(self.sharp[: int(harmonics.sum())], self.along, self.brought)
-
-
-def _interpolate_asymmetries(source: Tensor, weights: Tensor) -> Tensor:
-    """Source at all asymmetries `(point, asymmetry)`: means as logarithms, since high orders fall steeply, and what is relative to them."""
-    mean = source.mean(0, dtype=torch.float64)
-    # Truncated lobes may leave low orders below zero in the mean, which no asymmetry uses that they matter for.
-    if not bool((mean > 0).all()):
-        return source @ weights
-    scaled = weights * (mean.log() @ weights.double()).exp().to(weights)
-    return source @ (scaled / mean[:, None].to(weights))
 
 
 def _sharpen(lattice: LightLattice, light: Tensor, spread: Tensor, sharp: Tensor) -> None:

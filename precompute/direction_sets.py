@@ -18,12 +18,14 @@ class DirectionSet:
         direction: unit vectors `(direction, 3)`.
         harmonics: at them `(direction, harmonic)`, see `evaluate_harmonics`.
         projection: of values at the directions on the harmonics `(harmonic, direction)`; its product with `harmonics` is one.
+        degree: largest of the harmonics.
         ring: directions with one polar angle, which follow each other.
     """
 
     direction: Tensor
     harmonics: Tensor
     projection: Tensor
+    degree: int
     ring: int
 
 
@@ -45,7 +47,7 @@ def turned_directions(degree: int, uniform: Tensor) -> DirectionSet:
     harmonics = evaluate_harmonics(direction, degree)
     weights = (weight * (2.0 * math.pi / count)).repeat_interleave(count)
     return DirectionSet(
-        direction.float(), harmonics.float(), (harmonics * weights[:, None]).T.float().contiguous(), count
+        direction.float(), harmonics.float(), (harmonics * weights[:, None]).T.float().contiguous(), degree, count
     )
 
 

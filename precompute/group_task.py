@@ -29,6 +29,14 @@ SECTIONS_AT_ONE = 1.28
 THIN_DEPTH, FEWEST_STRATA = 2.0, 4
 """In groups thinner than this the number of strata falls with the root of the depth: where little is absorbed, little depends on where."""
 
+THICK_DEPTH = 20.0
+"""Largest optical depth from which on a group is thick."""
+
+CARRIED_POINTS, CARRIED_DEGREE = (0.2, 0.45), (5, 3)
+"""Points of the lattice that light is carried on over source points, and degree of its harmonics, in a thin group and a thick one. A
+thick cloud, whose light is round, needs points that resolve its free paths; a thin one, where light is scattered forward and leaves,
+directions."""
+
 FEWEST_CARRIED = 18
 """Largest order from which on carrying pays: paths in thin clouds are short anyway."""
 
@@ -88,12 +96,14 @@ class GroupTask:
         view = self.view
         return SourceTable(view.grid, view.camera, view.sun, lattice, nodes, plan, self.step, 2 * self.seed + stream)
 
-    def carry(self, plan: OrderPlan, points: int, on_progress: Callable[[float], None]) -> CarriedOrders | None:
-        """High orders, carried on a lattice of at most so many points; None where that is too coarse, or nothing is left to carry."""
+    def carry(self, plan: OrderPlan, on_progress: Callable[[float], None]) -> CarriedOrders | None:
+        """High orders, carried on a lattice; None where that is too coarse, or nothing is left to carry."""
         if plan.largest_order < FEWEST_CARRIED:
             return None
-        lattice = resolving_lattice(self.view.grid, float(self.extinction[-1]), points)
+        thickest = float(self.extinction[-1])
+        thick = thickest * self.view.largest_optical_length >= THICK_DEPTH
+        lattice = resolving_lattice(self.view.grid, thickest, round(CARRIED_POINTS[thick] * self.effort.points))
         if lattice is None:
             return None
         nodes = (self.asymmetry, self.extinction)
-        return carry_orders(self.view, lattice, *nodes, plan, self.step, self.seed, on_progress)
+        return carry_orders(self.view, lattice, *nodes, plan, CARRIED_DEGREE[thick], self.step, self.seed, on_progress)

@@ -8,12 +8,13 @@ step and its own set of paths for all of its nodes.
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
-from precompute.carried_orders import POINTS_SHARE, CarriedOrders, last_traced_orders
+from precompute.carried_orders import CarriedOrders, last_traced_orders
 from precompute.error_budget import (
     OMITTED_SHARE,
     Effort,
@@ -105,7 +106,7 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     plan, effort = plan_orders(pilot.plan.knots[pilot.enough - 1]), pilot.suited(task.effort)
     lattice, importance = _place_points(view, strata, effort.points)
     clock.lap("source points")
-    carried = task.carry(plan, round(POINTS_SHARE * effort.points), lambda share: report(0.1 + 0.1 * share))
+    carried = replace(task, effort=effort).carry(plan, lambda share: report(0.1 + 0.1 * share))
     clock.lap("carried orders")
     table = _path_table(task, lattice, plan, carried)
     table.add_pass(allocate_paths(importance, effort.first_paths), lambda share: report(0.2 + 0.1 * share))
@@ -139,8 +140,9 @@ def _path_table(task: GroupTask, lattice: Lattice, plan: OrderPlan, carried: Car
     """Empty table of the orders that are not carried."""
     if carried is None:
         return task.source_table(lattice, plan, task.nodes(), 1)
-    last = min(int(last_traced_orders(task.asymmetry).max()), plan.largest_order)
-    return task.source_table(lattice, plan.until(last), task.nodes(last_traced_orders), 1)
+    last_orders = partial(last_traced_orders, degree=carried.degree)
+    last = min(int(last_orders(task.asymmetry).max()), plan.largest_order)
+    return task.source_table(lattice, plan.until(last), task.nodes(last_orders), 1)
 
 
 class _Smoother:

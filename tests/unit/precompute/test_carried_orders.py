@@ -9,13 +9,13 @@ import torch
 
 from precompute import carried_orders
 from precompute.carried_orders import (
-    carried_asymmetries,
-    DEGREE,
     CarriedOrders,
+    carried_asymmetries,
     carry_orders,
     last_traced_orders,
     resolving_lattice,
 )
+from precompute.drawn_flights import draw_flights
 from precompute.light_lattice import LightLattice, light_lattice_over
 from precompute.order_plan import OrderPlan, place_knots, plan_orders
 from precompute.path_sampler import EVERY_ORDER
@@ -30,7 +30,7 @@ from tests.support.carried import plan_every_order, render_carried
 from tests.support.volumes import noise_box, towards, uniform_box, view_north
 
 SUN = towards(140.0, 35.0)
-ASYMMETRY = torch.tensor([-0.3, 0.0, 0.5])
+ASYMMETRY, DEGREE = torch.tensor([-0.3, 0.0, 0.5]), 3
 EXTINCTION = torch.tensor([0.4, 1.0])
 
 
@@ -44,14 +44,14 @@ def carry(
 ) -> CarriedOrders:
     lattice = light_lattice_over(grid, spacing, 3000)
     view = view_of(grid, view_north(4, 4, 6.0), SUN)
-    return carry_orders(view, lattice, asymmetry, extinction, plan or plan_orders(18), 0.5, seed)
+    return carry_orders(view, lattice, asymmetry, extinction, plan or plan_orders(18), DEGREE, 0.5, seed)
 
 
 @pytest.mark.parametrize(
     ("asymmetry", "order"), [(0.0, 4), (0.3, 4), (0.5, 4), (0.8, 6), (0.95, 34), (0.99, 258), (-0.8, 6), (-0.95, 34)]
 )
 def test_a_forward_lobe_is_traced_until_it_is_round(asymmetry: float, order: int) -> None:
-    found = int(last_traced_orders(torch.tensor([asymmetry]))[0])
+    found = int(last_traced_orders(torch.tensor([asymmetry]), DEGREE)[0])
     assert found == order
     left_out = abs(asymmetry) ** (found * (DEGREE + 1))
     assert left_out <= carried_orders.ROUND
@@ -63,7 +63,7 @@ def test_a_forward_lobe_is_traced_until_it_is_round(asymmetry: float, order: int
 
 def test_last_traced_orders_rise_with_the_lobe_and_are_knots() -> None:
     asymmetry = torch.linspace(-0.999, 0.999, 801)
-    found = last_traced_orders(asymmetry)
+    found = last_traced_orders(asymmetry, DEGREE)
     assert set(found.tolist()) <= set(place_knots(EVERY_ORDER))
     assert torch.equal(found, found.flip(0))
     assert (found[400:].diff() >= 0).all()
@@ -73,7 +73,7 @@ def test_last_traced_orders_rise_with_the_lobe_and_are_knots() -> None:
 def test_a_lattice_that_does_not_resolve_free_paths_is_none() -> None:
     grid = noise_box(12)
     assert resolving_lattice(grid, 1.0, 3000) is not None
-    assert resolving_lattice(grid, 1.0, 100) is None
+    assert resolving_lattice(grid, 1.0, 20) is None
     thin = resolving_lattice(grid, 0.1, 300)
     assert thin is not None
     assert len(thin.numbers) <= 330
@@ -88,7 +88,7 @@ def test_eight_asymmetries_are_carried_those_of_narrow_lobes_first() -> None:
     kept = carried_asymmetries(many)
     assert kept.tolist() == pytest.approx([0.0, 0.18, 0.36, 0.54, 0.63, 0.72, 0.81, 0.9])
     both = carried_asymmetries(torch.linspace(-0.9, 0.9, 21))
-    torch.testing.assert_close(both, -both.flip(0))
+    assert both[[0, 1, -2, -1]].tolist() == pytest.approx([-0.9, -0.81, 0.81, 0.9])
 
 
 def test_asymmetries_between_those_carried_are_interpolated(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,7 +143,7 @@ def test_shapes_and_progress() -> None:
     lattice = light_lattice_over(noise_box(), 1.0, 3000)
     view = view_of(noise_box(), view_north(4, 4, 6.0), SUN)
     plan = plan_orders(10)
-    carried = carry_orders(view, lattice, ASYMMETRY, EXTINCTION, plan, 0.5, 0, told.append)
+    carried = carry_orders(view, lattice, ASYMMETRY, EXTINCTION, plan, DEGREE, 0.5, 0, told.append)
     assert carried.source.shape == (2, 2, len(lattice.numbers), len(plan.knots), 3)
     assert carried.at(1, torch.zeros(7, 3)).shape == (7, 2, len(plan.knots), 3)
     assert told == pytest.approx([0.075, 0.15, 0.225, 0.3, 0.475, 0.65, 0.825, 1.0])
@@ -156,7 +156,7 @@ def test_traced_orders_are_left_out() -> None:
     """With an image for every order, those up to the last that is traced are black, and the next is not."""
     asymmetry = torch.tensor([-0.8, 0.0, 0.5, 0.85])
     source = carry(noise_box(), asymmetry, EXTINCTION[1:], plan_every_order(14)).source[0, 0].mean(0)
-    for column, last in enumerate(last_traced_orders(asymmetry).tolist()):
+    for column, last in enumerate(last_traced_orders(asymmetry, DEGREE).tolist()):
         lit = source[:, column] > 0.0
         assert lit.tolist() == [order > last for order in range(2, 15)]
 
@@ -305,7 +305,7 @@ def relative_errors() -> tuple[float, float]:
         lattice = resolving_lattice(view.grid, float(extinction), 3000)
         assert lattice is not None
         asymmetry = torch.tensor([CLOUD_ASYMMETRY])
-        carried = carry_orders(view, lattice, asymmetry, extinction, plan_orders(18), 0.5, seed)
+        carried = carry_orders(view, lattice, asymmetry, extinction, plan_orders(18), DEGREE, 0.5, seed)
         found.append(render_carried(carried, view, extinction, 0)[..., 0].mean(0))
     image = torch.stack(found).mean(0)
     return float(image.mean() / exact.mean() - 1.0), float((image - exact).square().mean().sqrt() / exact.mean())
