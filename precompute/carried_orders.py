@@ -93,12 +93,11 @@ class CarriedOrders:
 
     def at(self, node: int, position: Tensor) -> Tensor:
         """J at positions `(position, 3)` [m] at one extinction: `(position, half, knot, asymmetry)`."""
-        numbers, weights = self.lattice.corners(position)
-        halves = [
-            embedding_bag(numbers, half.flatten(1), per_sample_weights=weights, mode="sum").unflatten(1, half.shape[1:])
-            for half in self.source[node]
-        ]
-        return torch.stack(halves, dim=1)
+        source = self.source[node]
+        found = source.new_empty(len(position), *source.shape[:1], *source.shape[2:])
+        for number, half in enumerate(source):
+            found[:, number] = self.lattice.interpolate(half.flatten(1), position).unflatten(1, half.shape[1:])
+        return found
 
     def features_at(self, node: int, position: Tensor) -> Tensor:
         """Features at positions `(position, 3)` [m] at one extinction `(position, feature)`."""

@@ -32,7 +32,7 @@ THIN_DEPTH, FEWEST_STRATA = 2.0, 4
 THICK_DEPTH = 20.0
 """Largest optical depth from which on a group is thick."""
 
-CARRIED_POINTS, CARRIED_DEGREE = (0.2, 0.45), (5, 3)
+CARRIED_POINTS, CARRIED_DEGREE = (0.2, 0.4), (5, 3)
 """Points of the lattice that light is carried on over source points, and degree of its harmonics, in a thin group and a thick one. A
 thick cloud, whose light is round, needs points that resolve its free paths; a thin one, where light is scattered forward and leaves,
 directions."""

@@ -26,6 +26,7 @@ from precompute.error_budget import (
 from precompute.error_probe import ErrorProbe, SmoothSource, probe_rays
 from precompute.gather import Lattice, Strata, gather_bags, lattice_over, stratify_rays
 from precompute.group_task import GroupTask
+from precompute.heap import trim_heap
 from precompute.order_plan import OrderPlan, plan_orders
 from precompute.single_scattering import compute_single_scattering
 from precompute.smoothing import find_neighbours
@@ -71,13 +72,14 @@ class GroupImages:
 
 
 class _Clock:
-    """Seconds by part."""
+    """Seconds by part, after each of which freed memory is given back."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self._started = self._last = time.perf_counter()
 
     def lap(self, part: str) -> None:
+        trim_heap()
         now = time.perf_counter()
         self.seconds[part] = self.seconds.get(part, 0.0) + now - self._last
         self._last = now
@@ -173,6 +175,7 @@ class _Smoother:
                     features = torch.cat([features, self._carried.features_at(node, position)], dim=1)
                 source[:, :, : of_paths.shape[2]] += of_paths
             yield self._probe.smooth(node, source, neighbours, SourceModel(features, table.paths))
+            trim_heap()
 
 
 def _add_passes(

@@ -116,13 +116,12 @@ class SourceModel:
 
     def __init__(self, features: Tensor, paths: Tensor) -> None:
         # The normal equations square the condition number: in float32 half of the features would be lost.
-        self._features = features.double()
-        self._weighted = (self._features * paths[:, None]).T
-        normal = self._weighted @ self._features
+        self._features, self._paths = features.double(), paths[:, None]
+        normal = (self._features * self._paths).T @ self._features
         normal.diagonal().add_(RIDGE * normal.diagonal())
         self._factor = torch.linalg.cholesky_ex(normal).L
 
     def expect(self, source: Tensor) -> Tensor:
         """Values of the model `(point, column)` fitted to noisy ones."""
-        moments = self._weighted @ source.double()
+        moments = self._features.T @ (source.double() * self._paths)
         return (self._features @ torch.cholesky_solve(moments, self._factor)).to(source.dtype)
