@@ -193,8 +193,8 @@ def _add_passes(
             return StopReason.FIXED
         if done >= task.effort.paths:
             return StopReason.PATHS
-        # Every second extinction tells as much of what more paths would bring.
-        errors = [smooth.of_image for smooth in smoother.at(range(len(task.extinction) - 1, -1, -2))]
+        # Every third extinction tells as much of what more paths would bring.
+        errors = [smooth.of_image for smooth in smoother.at(range(len(task.extinction) - 1, -1, -3))]
         clock.lap("smoothing")
         following = next_pass(
             task.effort, done, box_error(torch.stack(errors)), clock.total, clock.seconds["paths"] / max(done, 1)
