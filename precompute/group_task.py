@@ -37,6 +37,12 @@ CARRIED_POINTS, CARRIED_DEGREE = (0.2, 0.4), (5, 3)
 thick cloud, whose light is round, needs points that resolve its free paths; a thin one, where light is scattered forward and leaves,
 directions."""
 
+LEAST_POINTS = 14_000
+"""Of that lattice, if the coarsest spacing does not need fewer."""
+
+CARRIED_TOLERANCE = 0.05
+"""Above it the few paths that a thin group takes cost less than carrying."""
+
 FEWEST_CARRIED = 18
 """Largest order from which on carrying pays: paths in thin clouds are short anyway."""
 
@@ -98,11 +104,13 @@ class GroupTask:
 
     def carry(self, plan: OrderPlan, on_progress: Callable[[float], None]) -> CarriedOrders | None:
         """High orders, carried on a lattice; None where that is too coarse, or nothing is left to carry."""
-        if plan.largest_order < FEWEST_CARRIED:
-            return None
         thickest = float(self.extinction[-1])
         thick = thickest * self.view.largest_optical_length >= THICK_DEPTH
-        lattice = resolving_lattice(self.view.grid, thickest, round(CARRIED_POINTS[thick] * self.effort.points))
+        rough = self.effort.tolerance is not None and self.effort.tolerance > CARRIED_TOLERANCE
+        if plan.largest_order < FEWEST_CARRIED or (rough and not thick):
+            return None
+        points = max(LEAST_POINTS, round(CARRIED_POINTS[thick] * self.effort.points))
+        lattice = resolving_lattice(self.view.grid, thickest, points)
         if lattice is None:
             return None
         nodes = (self.asymmetry, self.extinction)
