@@ -61,7 +61,7 @@ QUALITIES: dict[str, Quality] = {
         Effort(258, 20_000, 360_000, 6, True, 0.10),
         Effort(258, 60_000, 1_000_000, 16, True, 0.05),
         7,
-        7,
+        8,
         0.16,
     ),
     "standard": Quality(

@@ -1,7 +1,7 @@
 """Where a table's extinctions lie, and the coordinate over which its images are interpolated.
 
-Images of a thin cloud are powers of its extinction, so once the power is divided out they hardly change until the longest ray has an optical
-depth of about one; from there on they change with the logarithm. Evenly spaced steps of
+Images of a thin cloud are powers of its extinction, so once the power is divided out they hardly change until the longest ray has an
+optical depth of about one; from there on they change with the logarithm. Evenly spaced steps of
 
     w = ln(1 + s / s_0),    s_0 = 2 / largest optical length,
 

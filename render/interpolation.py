@@ -105,7 +105,7 @@ def _require_rising(nodes: Tensor) -> None:
 
 
 def _slope_matrix(nodes: Tensor, most: int) -> Tensor:
-    """Matrix `(node, node)` from samples to the slopes at each node of the polynomial through it and its neighbours, at most so many in all.
+    """Matrix `(node, node)` from samples to the slopes at each node of the polynomial through it and its neighbours, so many at most.
 
     Row by row the derivative of the barycentric form (Berrut & Trefethen 2004, "Barycentric Lagrange interpolation", equation 9.4).
     """

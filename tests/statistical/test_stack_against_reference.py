@@ -20,6 +20,7 @@ from precompute.order_plan import plan_orders
 from precompute.scattering_orders import build_scattering_stack
 from render.camera import PinholeCamera, frame_volume
 from render.density_grid import DensityGrid
+from render.depth_nodes import place_depths
 from render.path_tracer import ReferenceImage, trace_reference
 from render.phase_functions import evaluate_phase_function
 from render.procedural_cloud import build_cumulus
@@ -32,7 +33,7 @@ EFFORT = Effort(orders=4, points=8000, paths=100_000, strata=16)
 SEEDS = 6
 SAMPLES = 3000
 ASYMMETRY = torch.linspace(0.0, 0.85, 7)
-LARGEST_DEPTHS = torch.logspace(math.log10(0.2), math.log10(40.0), 7)
+LARGEST_DEPTHS = place_depths(0.2, 40.0, 7).float()
 
 
 @dataclass(frozen=True)

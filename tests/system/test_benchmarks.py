@@ -100,7 +100,8 @@ def test_every_knob_of_a_stack_has_its_time_and_its_error(tmp_path: Path, capsys
     assert all(one["seconds"]["median"] > 0.0 < one["error"]["median"] for one in measured.values())
     assert {knob for knob, _ in measured} == {"preset", *result["settings"]["knobs"]}
     preset, rough = measured["preset", "as it is"], measured["smoothing", "none"]
-    assert rough["error"]["median"] > 2.0 * preset["error"]["median"]
+    assert rough["error"]["median"] > 1.3 * preset["error"]["median"]
+    assert rough["builds"][0]["stated"] > 2.0 * preset["builds"][0]["stated"]
     assert measured["bins", "64"]["seconds"] == preset["seconds"]
     assert any(one["on_front"] for one in measured.values())
     assert "smoothing" in out
@@ -123,7 +124,8 @@ def test_the_growth_of_a_stack_is_shown_with_its_error(tmp_path: Path, capsys: p
 def test_every_node_of_a_table_is_charged_once_and_noise_falls_with_the_root_of_the_work() -> None:
     charged = nodes_by_depth(11, 7)
     assert sum(charged) == 77
-    assert charged[0] > charged[2] > 0  # half of the depths are thin
+    assert charged[1] > charged[0] > 0  # two of the depths are thin
+    assert charged[2] > 0
     peer = PeerCost("scalar_rgb", ParameterSet(0.0, 6.0, 1.0), 16, 9.0, 2.0, 0.1)
     assert peer.seconds_for(0.1) == pytest.approx(2.0)
     assert peer.seconds_for(0.01) == pytest.approx(200.0)

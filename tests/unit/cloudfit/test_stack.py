@@ -8,6 +8,7 @@ from cloudfit.parameters import LARGEST_OPTICAL_DEPTH_RANGE
 from cloudfit.scene import Scene
 from cloudfit.stack import prepare_stack
 from render.camera import PinholeCamera
+from render.depth_nodes import SOFT_DEPTH, depth_coordinate
 from render.errors import CameraError
 from tests.support.small_scene import TINY, small_scene, small_stack
 
@@ -18,8 +19,9 @@ def test_the_nodes_span_the_search_box_whatever_the_scale_of_the_volume() -> Non
     thin, thick = LARGEST_OPTICAL_DEPTH_RANGE
     assert float(depths[0]) == pytest.approx(thin, rel=1e-4)
     assert float(depths[-1]) == pytest.approx(thick, rel=1e-4)
-    ratios = depths[1:] / depths[:-1]
-    assert torch.allclose(ratios, ratios[0].expand_as(ratios), rtol=1e-4)
+    steps = depth_coordinate(depths, SOFT_DEPTH).diff()
+    assert torch.allclose(steps, steps[0].expand_as(steps), rtol=1e-4)
+    assert float(tables.soft_extinction) * tables.largest_optical_length == pytest.approx(SOFT_DEPTH)
 
 
 def test_the_stack_is_smaller_than_the_pictures_by_the_preset() -> None:

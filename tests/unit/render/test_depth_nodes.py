@@ -16,7 +16,9 @@ def test_the_coordinate_is_linear_where_thin_and_logarithmic_where_thick() -> No
     assert float(depth_coordinate(torch.tensor(0.5), 0.5)) == pytest.approx(math.log(2.0))
 
 
-@pytest.mark.parametrize(("thin", "thick", "count"), [(0.05, 60.0, 11), (0.05, 200.0, 8), (1e-6, 1e4, 15), (1.0, 2.0, 2)])
+@pytest.mark.parametrize(
+    ("thin", "thick", "count"), [(0.05, 60.0, 11), (0.05, 200.0, 8), (1e-6, 1e4, 15), (1.0, 2.0, 2)]
+)
 def test_nodes_are_evenly_spaced_in_it(thin: float, thick: float, count: int) -> None:
     depth = place_depths(thin, thick, count)
     assert len(depth) == count
