@@ -3,6 +3,7 @@
 import ctypes
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -35,6 +36,11 @@ def test_what_is_free_below_a_block_that_stays_is_given_back() -> None:
     assert before - after > 0.5 * BLOCK * BLOCKS
 
 
-def test_systems_without_it_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(heap, "_c_library", lambda: None)
+@pytest.mark.parametrize("library", [None, SimpleNamespace()])
+def test_systems_without_it_are_left_alone(library: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+    monkeypatch.setattr(heap, "_c_library", lambda: SimpleNamespace(malloc_trim=calls.append))
     trim_heap()
+    monkeypatch.setattr(heap, "_c_library", lambda: library)
+    trim_heap()
+    assert calls == [0]
