@@ -102,15 +102,15 @@ class GroupTask:
         view = self.view
         return SourceTable(view.grid, view.camera, view.sun, lattice, nodes, plan, self.step, 2 * self.seed + stream)
 
-    def carry(self, plan: OrderPlan, on_progress: Callable[[float], None]) -> CarriedOrders | None:
-        """High orders, carried on a lattice; None where that is too coarse, or nothing is left to carry."""
+    def carry(self, plan: OrderPlan, points: int, on_progress: Callable[[float], None]) -> CarriedOrders | None:
+        """High orders, carried on a lattice that suits so many source points; None where it is too coarse, or not worth it."""
         thickest = float(self.extinction[-1])
         thick = thickest * self.view.largest_optical_length >= THICK_DEPTH
         rough = self.effort.tolerance is not None and self.effort.tolerance > CARRIED_TOLERANCE
         if plan.largest_order < FEWEST_CARRIED or (rough and not thick):
             return None
-        points = max(LEAST_POINTS, round(CARRIED_POINTS[thick] * self.effort.points))
-        lattice = resolving_lattice(self.view.grid, thickest, points)
+        wanted = max(LEAST_POINTS, round(CARRIED_POINTS[thick] * points))
+        lattice = resolving_lattice(self.view.grid, thickest, wanted)
         if lattice is None:
             return None
         nodes = (self.asymmetry, self.extinction)

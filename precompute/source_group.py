@@ -108,7 +108,7 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     plan, effort = plan_orders(pilot.plan.knots[pilot.enough - 1]), pilot.suited(task.effort)
     lattice, importance = _place_points(view, strata, effort.points)
     clock.lap("source points")
-    carried = replace(task, effort=effort).carry(plan, lambda share: report(0.1 + 0.1 * share))
+    carried = task.carry(plan, effort.points, lambda share: report(0.1 + 0.1 * share))
     clock.lap("carried orders")
     table = _path_table(task, lattice, plan, carried)
     table.add_pass(allocate_paths(importance, effort.first_paths), lambda share: report(0.2 + 0.1 * share))
@@ -193,12 +193,9 @@ def _add_passes(
             return StopReason.FIXED
         if done >= task.effort.paths:
             return StopReason.PATHS
-        # Every third extinction tells as much of what more paths would bring.
-        errors = [smooth.of_image for smooth in smoother.at(range(len(task.extinction) - 1, -1, -3))]
+        error = _error_so_far(smoother, len(task.extinction), task.effort.tolerance)
         clock.lap("smoothing")
-        following = next_pass(
-            task.effort, done, box_error(torch.stack(errors)), clock.total, clock.seconds["paths"] / max(done, 1)
-        )
+        following = next_pass(task.effort, done, error, clock.total, clock.seconds["paths"] / max(done, 1))
         if isinstance(following, StopReason):
             return following
         share = done / (done + following)
@@ -207,6 +204,15 @@ def _add_passes(
             lambda part, share=share: report(0.3 + 0.6 * (share + (1.0 - share) * part)),  # type: ignore[misc]
         )
         clock.lap("paths")
+
+
+def _error_so_far(smoother: _Smoother, extinctions: int, tolerance: float) -> float:
+    """Error at every third extinction, which tells as well how many paths are missing, or at all where none seem to be."""
+    for nodes in (range(extinctions - 1, -1, -3), range(extinctions)):
+        error = box_error(torch.stack([smooth.of_image for smooth in smoother.at(nodes)]))
+        if error > tolerance:
+            break
+    return error
 
 
 def _gather(
