@@ -46,7 +46,7 @@ QUICK_SIZE = (48, 36)
 
 QUICK_EFFORT = Effort(10, 1_000, 10_000, 4, True, 0.2)
 
-QUICK_QUALITY = Quality(1.0, QUICK_EFFORT, QUICK_EFFORT, 3, 4, 10.0)
+QUICK_QUALITY = Quality(1.0, QUICK_EFFORT, QUICK_EFFORT, 4, 6, 10.0)
 
 QUICK_KNOBS = ["orders", "smoothing", "storage", "bins", "resolution"]
 

@@ -100,8 +100,7 @@ def test_every_knob_of_a_stack_has_its_time_and_its_error(tmp_path: Path, capsys
     assert all(one["seconds"]["median"] > 0.0 < one["error"]["median"] for one in measured.values())
     assert {knob for knob, _ in measured} == {"preset", *result["settings"]["knobs"]}
     preset, rough = measured["preset", "as it is"], measured["smoothing", "none"]
-    assert rough["error"]["median"] > 1.3 * preset["error"]["median"]
-    assert rough["builds"][0]["stated"] > 2.0 * preset["builds"][0]["stated"]
+    assert rough["error"]["median"] > 2.0 * preset["error"]["median"]
     assert measured["bins", "64"]["seconds"] == preset["seconds"]
     assert any(one["on_front"] for one in measured.values())
     assert "smoothing" in out
