@@ -199,11 +199,10 @@ class _Carrier:
     ) -> None:
         self._view, self._lattice, self._extinction, self._step = view, lattice, extinction, step
         self._sets, self._flights = sets, flights
-        self._degree = sets[0].degree
 
     def carry(self, asymmetry: Tensor, plan: OrderPlan) -> tuple[Tensor, Tensor]:
         """J of the orders beyond those traced `(point, knot, asymmetry)`, and features from those below, see `CarriedOrders`."""
-        degree, view, position = self._degree, self._view, self._lattice.positions
+        degree, view, position = self._sets[0].degree, self._view, self._lattice.positions
         traced = last_traced_orders(asymmetry, degree)
         carried = carried_asymmetries(asymmetry)
         between = cubic_weights(carried, asymmetry).T
@@ -214,13 +213,14 @@ class _Carrier:
         light = (sun[:, None] * damping)[:, None] * torch.exp(-self._extinction * length)[:, None]
         space, towards_camera = _Space.like(light, self._sets[0].ring), torch.empty_like(light[0])
         found = torch.zeros(len(plan.knots), len(position), len(asymmetry))
-        energy, low = list[Tensor](), list[Tensor]()
+        energy, low, sets = list[Tensor](), list[Tensor](), self._sets
         last = min(plan.largest_order, LAST_CARRIED)
         for order in range(2, last + 1):
-            if order == HIGH_ORDER + 1:
-                round_ = degrees_of_harmonics(self._degree, odd=True) <= HIGH_DEGREE
-                light, damping, towards, space = light[round_], damping[round_], towards[round_], space.part(round_)
-            self._scatter(light, damping, order % SETS, space)
+            if order == HIGH_ORDER + 1 and degree > HIGH_DEGREE:
+                kept = degrees_of_harmonics(degree, odd=True) <= HIGH_DEGREE
+                light, damping, towards, space = light[kept], damping[kept], towards[kept], space.part(kept)
+                sets = [one.up_to(HIGH_DEGREE) for one in sets]
+            self._scatter(light, damping, sets[order % SETS], self._flights[order % SETS], space)
             torch.mul(light[0], towards[0, :, None], out=towards_camera)
             for one, harmonic in zip(light[1:], towards[1:], strict=True):
                 towards_camera.addcmul_(one, harmonic[:, None])
@@ -236,22 +236,19 @@ class _Carrier:
         whole = self._extend(found, source, torch.stack(energy), plan).movedim(0, 1).contiguous()
         return whole, torch.cat(low, dim=1)
 
-    def _scatter(self, light: Tensor, damping: Tensor, turn: int, space: "_Space") -> None:
+    def _scatter(
+        self, light: Tensor, damping: Tensor, directions: DirectionSet, flights: DrawnFlights, space: "_Space"
+    ) -> None:
         """The next order of light `(harmonic, point, asymmetry)`, in its place."""
-        directions, flights = self._sets[turn], self._flights[turn]
         fused = fused_loops_wanted(light)
         sharpen, gather = (_sharpen_fused, _gather_fused) if fused else (_sharpen, _gather)
         sharpen(self._lattice, light, flights.spread, space.sharp)
-        harmonics, projection = directions.harmonics, directions.projection
-        if len(light) < len(projection):
-            round_ = degrees_of_harmonics(self._degree, odd=True) <= HIGH_DEGREE
-            harmonics, projection = harmonics[:, round_], projection[round_]
         light.zero_()
         for first in range(0, len(directions.direction), directions.ring):
             block = slice(first, first + directions.ring)
-            torch.mm(harmonics[block], space.sharp.flatten(1), out=space.along.flatten(1))
+            torch.mm(directions.harmonics[block], space.sharp.flatten(1), out=space.along.flatten(1))
             gather(self._lattice, space.along, flights.part(block), space.brought)
-            light.flatten(1).addmm_(projection[:, block], space.brought.flatten(1))
+            light.flatten(1).addmm_(directions.projection[:, block], space.brought.flatten(1))
         light.mul_(damping[:, None])
 
     def _extend(self, found: Tensor, source: Tensor, energy: Tensor, plan: OrderPlan) -> Tensor:

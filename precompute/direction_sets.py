@@ -1,13 +1,13 @@
 """Directions of the sphere with weights that integrate harmonics exactly, turned at random."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from render.spherical_harmonics import evaluate_harmonics
+from render.spherical_harmonics import degrees_of_harmonics, evaluate_harmonics
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,11 @@ class DirectionSet:
     projection: Tensor
     degree: int
     ring: int
+
+    def up_to(self, degree: int) -> "DirectionSet":
+        """The same directions with the harmonics up to a smaller degree only."""
+        kept = degrees_of_harmonics(self.degree, odd=True) <= degree
+        return replace(self, harmonics=self.harmonics[:, kept], projection=self.projection[kept], degree=degree)
 
 
 def turned_directions(degree: int, uniform: Tensor) -> DirectionSet:

@@ -191,7 +191,7 @@ def scatter_once(light: torch.Tensor, asymmetry: float, depth: float) -> tuple[L
     results = []
     for turn in range(8):
         values = light[:, None, None].expand(-1, count, 1).clone()
-        carrier._scatter(values, damping, turn, carried_orders._Space.like(values, sets[0].ring))
+        carrier._scatter(values, damping, sets[turn], flights[turn], carried_orders._Space.like(values, sets[0].ring))
         results.append(values[..., 0])
     return lattice, torch.stack(results).mean(0)
 
