@@ -91,6 +91,21 @@ def test_eight_asymmetries_are_carried_those_of_narrow_lobes_first() -> None:
     assert both[[0, 1, -2, -1]].tolist() == pytest.approx([-0.9, -0.81, 0.81, 0.9])
 
 
+def test_high_orders_need_no_high_harmonics(monkeypatch: pytest.MonkeyPatch) -> None:
+    grid, asymmetry = noise_box(), torch.tensor([0.0, 0.5, 0.8])
+    lattice, view = light_lattice_over(grid, 1.0, 3000), view_of(grid, view_north(4, 4, 6.0), SUN)
+
+    def all_orders() -> torch.Tensor:
+        return carry_orders(view, lattice, asymmetry, EXTINCTION, plan_orders(34), 5, 0.5, 0).source.sum(3)
+
+    some = all_orders()
+    monkeypatch.setattr(carried_orders, "HIGH_ORDER", 99)
+    whole = all_orders()
+    error = (some - whole).square().mean((0, 1, 2)).sqrt() / whole.square().mean((0, 1, 2)).sqrt()
+    assert float(error.max()) < 0.02
+    assert float(error.max()) > 1e-5
+
+
 def test_asymmetries_between_those_carried_are_interpolated(monkeypatch: pytest.MonkeyPatch) -> None:
     asymmetry = torch.linspace(0.0, 0.9, 11)
     some = carry(noise_box(), asymmetry=asymmetry).source

@@ -76,3 +76,12 @@ def test_turns_are_even_over_the_sphere() -> None:
     assert float((moments - moments.diag().diag()).abs().max()) < 4.0 * math.sqrt(1.0 / 15.0 / 2000)
     half = torch.stack([turned_directions(0, turn * 0.5).direction[0] for turn in uniform]).double()
     assert float(half.mean(0).abs().max()) > 0.1
+
+
+def test_harmonics_up_to_a_smaller_degree_are_those_of_that_degree() -> None:
+    found = directions(5).up_to(3)
+    assert (found.degree, found.ring, len(found.direction)) == (3, 12, 72)
+    torch.testing.assert_close(
+        found.harmonics, evaluate_harmonics(found.direction.double(), 3).float(), atol=1e-5, rtol=0.0
+    )
+    torch.testing.assert_close(found.projection @ found.harmonics, torch.eye(16), atol=1e-5, rtol=0.0)

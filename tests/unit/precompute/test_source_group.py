@@ -2,11 +2,14 @@
 
 import dataclasses
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
+from types import SimpleNamespace
 
 import pytest
 import torch
 
+from precompute import source_group
 from precompute.error_budget import ALBEDOS, OMITTED_SHARE, Effort, StopReason, box_error
 from precompute.group_task import LARGEST_STEP, SMALLEST_STEP, THINNEST_ANCHOR, GroupTask
 from precompute.source_group import THICK_SPACING, GroupImages, build_group
@@ -226,3 +229,32 @@ def test_a_volume_of_one_voxel_and_rays_that_hardly_touch_it() -> None:
         images = build_group(task([0.01, 5.0], view=view, tolerance=tolerance, paths=20_000), lambda share: None)
         assert torch.isfinite(images.multiple).all()
         assert math.isfinite(images.report.error)
+
+
+class ListedErrors:
+    """A smoother that knows the error at each extinction, and tells which were asked for."""
+
+    def __init__(self, errors: list[float]) -> None:
+        self.errors, self.asked = errors, list[int]()
+
+    def at(self, nodes: Iterable[int]) -> Iterator[SimpleNamespace]:
+        for node in nodes:
+            self.asked.append(node)
+            yield SimpleNamespace(of_image=torch.full((1, 1), self.errors[node]))
+
+
+@pytest.mark.parametrize(
+    ("errors", "found", "asked"),
+    [
+        ([0.01, 0.01, 0.01, 0.01, 0.01], 0.01, [4, 1, 0, 1, 2, 3, 4]),
+        # Where those that are looked at first seem well, the others have to be.
+        ([0.09, 0.01, 0.09, 0.09, 0.01], 0.09, [4, 1, 0, 1, 2, 3, 4]),
+        ([0.01, 0.09, 0.01, 0.01, 0.09], 0.09, [4, 1]),
+    ],
+)
+def test_a_tolerance_is_met_at_all_extinctions_or_not_at_all(
+    errors: list[float], found: float, asked: list[int]
+) -> None:
+    smoother = ListedErrors(errors)
+    assert source_group._error_so_far(smoother, len(errors), 0.02) == pytest.approx(found)  # type: ignore[arg-type]
+    assert smoother.asked == asked
