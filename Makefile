@@ -17,7 +17,7 @@ demo: $(INSTALLED)
 	$(BIN)/cloudfit demo --out demo
 
 test: $(INSTALLED)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2
 
 test-slow: $(INSTALLED)
 	$(BIN)/python -m pytest -m slow

@@ -41,11 +41,8 @@ def end_pool(pool: ProcessPoolExecutor, futures: Collection[Future[Any]]) -> Non
         pool: that is not used again.
         futures: all that it was given.
     """
-    processes = list((pool._processes or {}).values())
-    finished = all(future.done() for future in futures)
-    pool.shutdown(wait=finished, cancel_futures=True)
-    if not finished:
-        for process in processes:
+    if not all(future.done() for future in futures):
+        for process in list((pool._processes or {}).values()):
             process.terminate()
-        for process in processes:
-            process.join()
+    # Waiting matters: the interpreter's end would stumble over pipes that the pool is closing.
+    pool.shutdown(wait=True, cancel_futures=True)
