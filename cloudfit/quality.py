@@ -58,10 +58,10 @@ def quality_for(tolerance: float) -> Quality:
 QUALITIES: dict[str, Quality] = {
     "draft": Quality(
         0.25,
-        Effort(258, 20_000, 360_000, 6, True, 0.10),
+        Effort(258, 14_000, 300_000, 6, True, 0.10),
         Effort(258, 60_000, 1_000_000, 16, True, 0.05),
         7,
-        8,
+        7,
         0.16,
     ),
     "standard": Quality(

@@ -48,11 +48,8 @@ HIGH_ORDER, HIGH_DEGREE = 10, 3
 SETS = 2
 """Of directions that orders take turns with, in each half."""
 
-CELL_DEPTH, DEEPEST_CELL = 1.4, 3.5
-"""Optical depth of the densest cell between lattice points that is aimed at, and beyond which paths are better."""
-
-COARSEST = 1.0 / 32.0
-"""Spacing of the lattice over the longest edge of the volume, however thin the cloud."""
+CELL_DEPTH = 1.4
+"""Optical depth of the densest cell between lattice points that is aimed at."""
 
 CARRIED_ASYMMETRIES = 8
 """At most; others are interpolated between them. Eight numbers of 32 bits fill a vector register."""
@@ -72,6 +69,23 @@ FAINT = 1e-4
 
 MEAN_SPREAD = torch.tensor([1.0 / 12.0])
 """Half of w (1 - w) on average over a cell, for places that are anywhere."""
+
+
+@dataclass(frozen=True)
+class CarryingEffort:
+    """How finely light is carried.
+
+    Args:
+        degree: of the harmonics.
+        points: of the lattice, at most, about.
+        coarsest: spacing of the lattice over the longest edge of the volume, however thin the cloud.
+        deepest_cell: optical depth of the densest cell beyond which paths are better.
+    """
+
+    degree: int
+    points: int
+    coarsest: float
+    deepest_cell: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,12 +141,12 @@ def carried_asymmetries(asymmetry: Tensor) -> Tensor:
     return kept
 
 
-def resolving_lattice(grid: DensityGrid, extinction: float, points: int) -> LightLattice | None:
-    """Lattice that resolves the mean free paths at an extinction [1/m] with so many points, about; None if they are too few."""
-    coarsest = COARSEST * max(grid.density.shape)
-    lattice = light_lattice_over(grid, min(coarsest, spacing_for(grid, extinction, CELL_DEPTH)), points)
+def resolving_lattice(grid: DensityGrid, extinction: float, effort: CarryingEffort) -> LightLattice | None:
+    """Lattice that resolves the mean free paths at an extinction [1/m]; None where it would take too many points."""
+    coarsest = effort.coarsest * max(grid.density.shape)
+    lattice = light_lattice_over(grid, min(coarsest, spacing_for(grid, extinction, CELL_DEPTH)), effort.points)
     cell_depth = extinction * grid.maximum * float(lattice.lattice.spacing.max())
-    return lattice if cell_depth <= DEEPEST_CELL else None
+    return lattice if cell_depth <= effort.deepest_cell else None
 
 
 def carry_orders(

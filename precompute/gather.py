@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from render.density_grid import DensityGrid
-from render.ray_march import interpolate_in_rows, locate_in_rows, march_rays, ray_chunks
+from render.ray_march import RayProfile, interpolate_in_rows, locate_in_rows
 
 BAG_POSITIONS = 1 << 17
 """Positions along rays whose bags are made at once; bounds the memory."""
@@ -94,6 +94,8 @@ class Bags:
 class Strata:
     """Positions along rays at the midpoints of equal strata of the absorbed share.
 
+    Each ray is marched once, for single scattering, and `cut` makes the strata of the profiles that come up there.
+
     Args:
         distance: from the rays' origins `(extinction, ray, stratum)` [m].
         opacity: of each ray `(extinction, ray)`.
@@ -102,6 +104,28 @@ class Strata:
     distance: Tensor
     opacity: Tensor
 
+    @classmethod
+    def uncut(cls, extinctions: int, rays: int, strata: int) -> "Strata":
+        """Room for the strata of rays at every extinction."""
+        return cls(torch.empty(extinctions, rays, strata), torch.empty(extinctions, rays))
+
+    def cut(self, extinction: Tensor, rays: slice, profile: RayProfile) -> None:
+        """Fill in some of the rays.
+
+        Args:
+            extinction: nodes `(extinction,)` [1/m].
+            rays: which they are.
+            profile: of these rays.
+        """
+        count = self.distance.shape[2]
+        midpoints = (torch.arange(count, dtype=torch.float64) + 0.5) / count
+        for node, s in enumerate(extinction.double()):
+            absorbed = -torch.expm1(-s * profile.total.double())
+            target = (-torch.log1p(-midpoints * absorbed[:, None]) / s).to(torch.float32)
+            place = locate_in_rows(profile.optical_length, target)
+            self.distance[node, rays] = interpolate_in_rows(profile.distance, *place)
+            self.opacity[node, rays] = absorbed.to(torch.float32)
+
     def part(self, rays: Tensor) -> "Strata":
         """The same for some of the rays."""
         return Strata(self.distance[:, rays], self.opacity[:, rays])
@@ -109,30 +133,6 @@ class Strata:
     def at(self, node: int) -> "Strata":
         """The same for one extinction."""
         return Strata(self.distance[node : node + 1], self.opacity[node : node + 1])
-
-
-def stratify_rays(grid: DensityGrid, origin: Tensor, direction: Tensor, extinction: Tensor, strata: int) -> Strata:
-    """Strata of rays for every extinction.
-
-    Args:
-        grid: the volume.
-        origin: ray origins `(ray, 3)` [m].
-        direction: unit directions `(ray, 3)`.
-        extinction: nodes `(extinction,)` [1/m].
-        strata: positions along each ray.
-    """
-    midpoints = (torch.arange(strata, dtype=torch.float64) + 0.5) / strata
-    distance = torch.empty(len(extinction), len(origin), strata)
-    opacity = torch.empty(len(extinction), len(origin))
-    for rays in ray_chunks(grid, len(origin)):
-        profile = march_rays(grid, origin[rays], direction[rays])
-        for node, s in enumerate(extinction.double()):
-            absorbed = -torch.expm1(-s * profile.total.double())
-            target = (-torch.log1p(-midpoints * absorbed[:, None]) / s).to(torch.float32)
-            place = locate_in_rows(profile.optical_length, target)
-            distance[node, rays] = interpolate_in_rows(profile.distance, *place)
-            opacity[node, rays] = absorbed.to(torch.float32)
-    return Strata(distance, opacity)
 
 
 def gather_bags(lattice: Lattice, origin: Tensor, direction: Tensor, strata: Strata) -> Iterator[Bags]:

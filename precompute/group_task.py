@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from precompute.carried_orders import CarriedOrders, carry_orders, resolving_lattice
+from precompute.carried_orders import CarriedOrders, CarryingEffort, carry_orders, resolving_lattice
 from precompute.error_budget import Effort
 from precompute.gather import Lattice
 from precompute.order_plan import OrderPlan
@@ -37,11 +37,14 @@ CARRIED_POINTS, CARRIED_DEGREE = (0.2, 0.4), (5, 3)
 thick cloud, whose light is round, needs points that resolve its free paths; a thin one, where light is scattered forward and leaves,
 directions."""
 
-LEAST_POINTS = 14_000
-"""Of that lattice, if the coarsest spacing does not need fewer."""
+LEAST_CARRIED, COARSEST_CARRIED, DEEPEST_CELL = 14_000, 1.0 / 32.0, 3.5
+"""Points of that lattice, if the coarsest spacing does not need fewer; that spacing; and the cells beyond which paths are better."""
 
-CARRIED_TOLERANCE = 0.05
-"""Above it the few paths that a thin group takes cost less than carrying."""
+ROUGH_TOLERANCE = 0.05
+"""Above it light is carried on few points, in few directions and with long steps, which still leaves less error than few paths do."""
+
+ROUGH_POINTS, ROUGH_DEGREE, ROUGH_COARSEST, ROUGH_CELL, ROUGH_STEP = 8000, 2, 1.0 / 20.0, 10.0, 2.0
+"""What `CARRIED_POINTS` and the others are then, and the factor on the marching step."""
 
 FEWEST_CARRIED = 18
 """Largest order from which on carrying pays: paths in thin clouds are short anyway."""
@@ -75,7 +78,8 @@ class GroupTask:
         """Marching step [voxel]."""
         grid = self.view.grid
         voxel_depth = float(self.extinction[-1]) * grid.maximum * float(grid.voxel_size.min())
-        return min(max(STEP_DEPTH / voxel_depth, SMALLEST_STEP), LARGEST_STEP)
+        roughness = ROUGH_STEP if self._rough else 1.0
+        return min(max(roughness * STEP_DEPTH / voxel_depth, roughness * SMALLEST_STEP), LARGEST_STEP)
 
     @property
     def strata(self) -> int:
@@ -104,14 +108,22 @@ class GroupTask:
 
     def carry(self, plan: OrderPlan, points: int, on_progress: Callable[[float], None]) -> CarriedOrders | None:
         """High orders, carried on a lattice that suits so many source points; None where it is too coarse, or not worth it."""
-        thickest = float(self.extinction[-1])
-        thick = thickest * self.view.largest_optical_length >= THICK_DEPTH
-        rough = self.effort.tolerance is not None and self.effort.tolerance > CARRIED_TOLERANCE
-        if plan.largest_order < FEWEST_CARRIED or (rough and not thick):
+        if plan.largest_order < FEWEST_CARRIED:
             return None
-        wanted = max(LEAST_POINTS, round(CARRIED_POINTS[thick] * points))
-        lattice = resolving_lattice(self.view.grid, thickest, wanted)
+        effort = self._carrying_effort(points)
+        lattice = resolving_lattice(self.view.grid, float(self.extinction[-1]), effort)
         if lattice is None:
             return None
         nodes = (self.asymmetry, self.extinction)
-        return carry_orders(self.view, lattice, *nodes, plan, CARRIED_DEGREE[thick], self.step, self.seed, on_progress)
+        return carry_orders(self.view, lattice, *nodes, plan, effort.degree, self.step, self.seed, on_progress)
+
+    @property
+    def _rough(self) -> bool:
+        return self.effort.tolerance is not None and self.effort.tolerance > ROUGH_TOLERANCE
+
+    def _carrying_effort(self, points: int) -> CarryingEffort:
+        thick = float(self.extinction[-1]) * self.view.largest_optical_length >= THICK_DEPTH
+        if self._rough:
+            return CarryingEffort(ROUGH_DEGREE, ROUGH_POINTS, ROUGH_COARSEST, ROUGH_CELL)
+        wanted = max(LEAST_CARRIED, round(CARRIED_POINTS[thick] * points))
+        return CarryingEffort(CARRIED_DEGREE[thick], wanted, COARSEST_CARRIED, DEEPEST_CELL)

@@ -134,7 +134,7 @@ def _assemble(
         bright_error[:, group] = part.bright_error
         start = group.stop
     if effort.tail and effort.orders > SEPARATE_ORDERS and pixels:
-        ratio, last = (values.to(torch.float32) for values in close_tail(plan, multiple.double().mean(-1)))
+        ratio, last = (values.to(torch.float32) for values in close_tail(plan, multiple.mean(-1, dtype=torch.float64)))
     return ScatteringTables(
         width=view.camera.width,
         height=view.camera.height,

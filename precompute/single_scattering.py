@@ -8,10 +8,13 @@ in u, which makes its integral elementary: with d = s |du + du_sun|, the factor 
 is 1 at d = 0. It is taken from the end of the section that more light reaches, so that no exponential can overflow.
 """
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
 from precompute.free_flight import DARKEST_DEPTH, march_to_sun
+from precompute.in_threads import map_in_threads
 from render.density_grid import DensityGrid
 from render.ray_march import RayProfile, interpolate_in_rows, locate_in_rows, march_rays, ray_chunks
 
@@ -39,6 +42,7 @@ def compute_single_scattering(
     extinction: Tensor,
     step: float,
     sections: int = 32,
+    on_profile: Callable[[slice, RayProfile], None] = lambda rays, profile: None,
 ) -> tuple[Tensor, Tensor]:
     """Single-scattering integral S1 of rays, and how far off it is about.
 
@@ -52,14 +56,20 @@ def compute_single_scattering(
         extinction: coefficients `(extinction,)` [1/m], rising, positive; the more alike, the better the sections suit all.
         step: longest step in voxels on the way to the sun.
         sections: of each ray.
+        on_profile: called with some of the rays and their profile, several times and in several threads, until it has seen all.
 
     Returns:
         S1 `(extinction, ray)`, dimensionless; times albedo, phase function and sunlight it is the radiance. And its error, likewise.
     """
-    parts = [
-        _integrate_rays(grid, origin[rays], direction[rays], sun_direction, extinction, step, sections)
-        for rays in ray_chunks(grid, len(origin), CAMERA_SHARE * step)
-    ]
+    chunks = list(ray_chunks(grid, len(origin), CAMERA_SHARE * step))
+
+    def integrate(chunk: int) -> tuple[Tensor, Tensor]:
+        rays = chunks[chunk]
+        profile = march_rays(grid, origin[rays], direction[rays], CAMERA_SHARE * step)
+        on_profile(rays, profile)
+        return _integrate_rays(grid, origin[rays], direction[rays], profile, sun_direction, extinction, step, sections)
+
+    parts = map_in_threads(integrate, len(chunks))
     if not parts:
         return torch.zeros(len(extinction), 0), torch.zeros(len(extinction), 0)
     fine, coarse = (torch.cat(ones, dim=1) for ones in zip(*parts, strict=True))
@@ -70,13 +80,13 @@ def _integrate_rays(
     grid: DensityGrid,
     origin: Tensor,
     direction: Tensor,
+    profile: RayProfile,
     sun_direction: Tensor,
     extinction: Tensor,
     step: float,
     sections: int,
 ) -> tuple[Tensor, Tensor]:
     """S1 between all edges and between every second one, each `(extinction, ray)`."""
-    profile = march_rays(grid, origin, direction, CAMERA_SHARE * step)
     distance, optical_length = _cut_into_sections(profile, extinction, sections)
     points = origin[:, None] + distance[..., None] * direction[:, None]
     # Rounded to outside of the face, a point would miss the box altogether where the sun is parallel to that face.

@@ -24,7 +24,7 @@ from precompute.error_budget import (
     next_pass,
 )
 from precompute.error_probe import ErrorProbe, SmoothSource, probe_rays
-from precompute.gather import Lattice, Strata, gather_bags, lattice_over, stratify_rays
+from precompute.gather import Lattice, Strata, gather_bags, lattice_over
 from precompute.group_task import GroupTask
 from precompute.heap import trim_heap
 from precompute.order_plan import OrderPlan, plan_orders
@@ -92,13 +92,11 @@ class _Clock:
 def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages:
     """Images of a group; `report` is called with the share that is done."""
     clock, view = _Clock(), task.view
-    single, single_error = compute_single_scattering(
-        view.grid, view.origin, view.direction, view.sun, task.extinction, task.step, task.sections
-    )
+    strata = Strata.uncut(len(task.extinction), len(view.pixel), task.strata)
+    rays, cut = (view.grid, view.origin, view.direction), partial(strata.cut, task.extinction)
+    single, single_error = compute_single_scattering(*rays, view.sun, task.extinction, task.step, task.sections, cut)
     clock.lap("single scattering")
     report(0.1)
-    strata = stratify_rays(view.grid, view.origin, view.direction, task.extinction, task.strata)
-    clock.lap("camera rays")
     pilot = _fly_pilot(task, strata, single)
     clock.lap("pilot")
     phase = evaluate_phase_function(view.direction @ view.sun, task.asymmetry[:, None])
@@ -120,9 +118,8 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     surroundings = measure_surroundings(view.grid, view.camera, view.sun, lattice.positions(table.numbers))
     clock.lap("source model")
     smoother = _Smoother(table, carried, probe, surroundings, task.extinction)
-    reason = _add_passes(task, table, importance, smoother, clock, report)
-    multiple, errors = _gather(view, lattice, entry, strata, smoother)
-    clock.lap("images")
+    gather = partial(_gather, view, lattice, entry, strata, smoother)
+    multiple, errors, reason = _trace_until_accurate(task, table, importance, smoother, gather, clock, report)
     report(1.0)
     image_error = torch.stack([one.of_image for one in errors], dim=2)
     if reason is StopReason.PATHS and box_error(image_error) <= (effort.tolerance or 0.0):
@@ -178,47 +175,61 @@ class _Smoother:
             trim_heap()
 
 
-def _add_passes(
+_Images = tuple[Tensor, list[SmoothSource]]
+"""Smoothed images `(knot, asymmetry, extinction, pixel)`, and their errors at each extinction."""
+
+
+def _trace_until_accurate(
     task: GroupTask,
     table: SourceTable,
     importance: Tensor,
     smoother: _Smoother,
+    gather: Callable[[], _Images],
     clock: _Clock,
     report: Callable[[float], None],
-) -> StopReason:
-    """Trace paths until the effort's tolerance is met or its limits are reached."""
+) -> tuple[Tensor, list[SmoothSource], StopReason]:
+    """Trace paths until the effort's tolerance is met or its limits are reached: images, their errors, and why no more were traced."""
+    effort = task.effort
     while True:
+        images: _Images | None = None
         done = int(table.paths.sum())
-        if task.effort.tolerance is None:
-            return StopReason.FIXED
-        if done >= task.effort.paths:
-            return StopReason.PATHS
-        error = _error_so_far(smoother, len(task.extinction), task.effort.tolerance)
+        reason = StopReason.FIXED if effort.tolerance is None else StopReason.PATHS
+        if effort.tolerance is None or done >= effort.paths:
+            break
+        error, images = _error_so_far(smoother, gather, len(task.extinction), effort.tolerance)
         clock.lap("smoothing")
-        following = next_pass(task.effort, done, error, clock.total, clock.seconds["paths"] / max(done, 1))
+        following = next_pass(effort, done, error, clock.total, clock.seconds["paths"] / max(done, 1))
         if isinstance(following, StopReason):
-            return following
+            reason = following
+            break
         share = done / (done + following)
         table.add_pass(
             allocate_paths(importance, following),
             lambda part, share=share: report(0.3 + 0.6 * (share + (1.0 - share) * part)),  # type: ignore[misc]
         )
         clock.lap("paths")
+    multiple, errors = images or gather()
+    clock.lap("images")
+    return multiple, errors, reason
 
 
-def _error_so_far(smoother: _Smoother, extinctions: int, tolerance: float) -> float:
-    """Error at every third extinction, which tells as well how many paths are missing, or at all where none seem to be."""
-    for nodes in (range(extinctions - 1, -1, -3), range(extinctions)):
-        error = box_error(torch.stack([smooth.of_image for smooth in smoother.at(nodes)]))
-        if error > tolerance:
-            break
-    return error
+def _error_so_far(
+    smoother: _Smoother, gather: Callable[[], _Images], extinctions: int, tolerance: float
+) -> tuple[float, _Images | None]:
+    """Error at every third extinction, which tells as well how many paths are missing; where none seem to be, at all, and the images."""
+    error = _error_of(smoother.at(range(extinctions - 1, -1, -3)))
+    if error > tolerance:
+        return error, None
+    images = gather()
+    return _error_of(images[1]), images
 
 
-def _gather(
-    view: View, lattice: Lattice, entry: Tensor, strata: Strata, smoother: _Smoother
-) -> tuple[Tensor, list[SmoothSource]]:
-    """Smoothed images `(knot, asymmetry, extinction, pixel)`, and their errors at each extinction."""
+def _error_of(smooth: Iterable[SmoothSource]) -> float:
+    return box_error(torch.stack([one.of_image for one in smooth]))
+
+
+def _gather(view: View, lattice: Lattice, entry: Tensor, strata: Strata, smoother: _Smoother) -> _Images:
+    """Images of what the smoother holds at the time."""
     images, errors = [], []
     for node, smooth in enumerate(smoother.at(range(len(strata.opacity)))):
         columns, shape = smooth.source.flatten(1), smooth.source.shape[1:]

@@ -36,8 +36,8 @@ def cubic_weights(nodes: Tensor, values: Tensor) -> Tensor:
     return _hermite(t[:, None], width[:, None], unit[cell], unit[cell + 1], slopes[cell], slopes[cell + 1])
 
 
-def limited_slopes(nodes: Tensor, samples: Tensor) -> Tensor:
-    """Slopes at nodes for `interpolate_limited`: those of parabolas through three nodes, at most three times either neighbouring secant.
+def limited_slopes(nodes: Tensor, samples: Tensor, points: int = LIMITED_POINTS) -> Tensor:
+    """Slopes at nodes for `interpolate_limited`: those of polynomials through some nodes, at most three times either neighbouring secant.
 
     This is the filter of Hyman 1983, "Accurate monotonicity preserving cubic interpolation": beside a cliff the curve stays within the
     range of its two samples; where neighbouring secants are alike it changes nothing.
@@ -45,6 +45,7 @@ def limited_slopes(nodes: Tensor, samples: Tensor) -> Tensor:
     Args:
         nodes: rising positions `(node,)`.
         samples: values there `(..., node)`.
+        points: nodes that each slope is made of.
 
     Returns:
         Slopes `(..., node)`.
@@ -59,7 +60,7 @@ def limited_slopes(nodes: Tensor, samples: Tensor) -> Tensor:
     secants = samples.diff(dim=-1) / nodes.diff()
     before, after = (torch.cat(pair, dim=-1) for pair in ((secants[..., :1], secants), (secants, secants[..., -1:])))
     bound = 3.0 * torch.minimum(before.abs(), after.abs())
-    return (samples @ _slope_matrix(nodes, LIMITED_POINTS).T).maximum(-bound).minimum(bound)
+    return (samples @ _slope_matrix(nodes, points).T).maximum(-bound).minimum(bound)
 
 
 def interpolate_limited(nodes: Tensor, samples: Tensor, slopes: Tensor, values: Tensor) -> Tensor:
@@ -79,6 +80,30 @@ def interpolate_limited(nodes: Tensor, samples: Tensor, slopes: Tensor, values: 
     cell, width, t = _locate(nodes, values)
     low, high = samples[:, cell].T, samples[:, cell + 1].T
     return _hermite(t[:, None], width[:, None], low, high, slopes[:, cell].T, slopes[:, cell + 1].T)
+
+
+def interpolate_limited_each(nodes: Tensor, samples: Tensor, values: Tensor) -> Tensor:
+    """Piecewise cubic interpolation of samples of each value's own: the slopes of `cubic_weights`, limited like those of `limited_slopes`.
+
+    Args:
+        nodes: rising positions `(node,)`.
+        samples: at the nodes `(population, row, node)`.
+        values: where to interpolate `(population,)`, held at the border; gradients flow through.
+
+    Returns:
+        Interpolated values `(population, row)`.
+    """
+    nodes = nodes.to(values)
+    if len(nodes) == 1:
+        return samples[..., 0]
+    cell, width, t = _locate(nodes, values)
+    slopes = limited_slopes(nodes, samples, SLOPE_POINTS)
+
+    def at(node: Tensor, table: Tensor) -> Tensor:
+        return table.take_along_dim(node[:, None, None], dim=2)[..., 0]
+
+    ends = at(cell, samples), at(cell + 1, samples), at(cell, slopes), at(cell + 1, slopes)
+    return _hermite(t[:, None], width[:, None], *ends)
 
 
 def _locate(nodes: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -15,7 +15,7 @@ from render.density_grid import DensityGrid
 CAMERA_STEP = 0.5
 """Step along camera and sun rays, in voxels."""
 
-PROFILE_SAMPLES = 1 << 21
+PROFILE_SAMPLES = 1 << 20
 """Samples in flight at once while marching: bounds the memory."""
 
 

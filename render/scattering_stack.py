@@ -23,7 +23,7 @@ from torch import Tensor, nn
 
 from render.depth_nodes import depth_coordinate
 from render.errors import ParameterError
-from render.interpolation import cubic_weights, interpolate_limited, limited_slopes
+from render.interpolation import cubic_weights, interpolate_limited, interpolate_limited_each, limited_slopes
 from render.phase_functions import evaluate_phase_function
 
 SMALLEST_SHARE = 1e-7
@@ -178,12 +178,12 @@ class ScatteringStack(nn.Module):
         phase = evaluate_phase_function(self.cos_sun.to(asymmetry), asymmetry[:, None])
         power = albedo[:, None] * thinner * within[:, None]
         single = power * phase * (of_extinction @ self.log_single.to(albedo)).exp()
-        mean = self._mean_of_images(of_asymmetry, within) * self._albedo_powers(albedo, thinner[:, 0], node_weights)
+        mean = self._mean_of_images(asymmetry, within) * self._albedo_powers(albedo, thinner[:, 0], node_weights)
         multiple = self._compose_multiple(mean, node_weights)
         depth = extinction[:, None] * self.optical_length.to(albedo)
         return CloudLayers(single, multiple, torch.exp(-depth), -torch.expm1(-depth))
 
-    def _mean_of_images(self, of_asymmetry: Tensor, extinction: Tensor) -> Tensor:
+    def _mean_of_images(self, asymmetry: Tensor, extinction: Tensor) -> Tensor:
         """Means over the pixels `(population, knot)`; those of faint images may fall off a cliff, where a cubic would overshoot."""
         log_mean, slopes = self.log_mean.to(extinction), self.log_mean_slopes.to(extinction)
         soft = self.tables.soft_extinction.to(extinction)
@@ -192,7 +192,7 @@ class ScatteringStack(nn.Module):
         columns = interpolate_limited(nodes, log_mean, slopes, depth_coordinate(extinction, soft))
         columns = columns.unflatten(1, (len(self.relative), -1))
         power = _thin_powers(self.tables.knots).to(extinction) * extinction.log()[:, None]
-        return (torch.einsum("pkg,pg->pk", columns, of_asymmetry) + power).exp()
+        return (interpolate_limited_each(self.tables.asymmetry, columns, asymmetry) + power).exp()
 
     def _compose_multiple(self, mean: Tensor, node_weights: Tensor) -> Tensor:
         """Sum of the images with given means `(population, pixel)`."""

@@ -4,9 +4,9 @@ import torch
 from torch import Tensor
 
 from precompute.carried_orders import CarriedOrders
-from precompute.gather import stratify_rays
 from precompute.order_plan import OrderPlan
 from precompute.view import View
+from tests.support.rays import stratify_rays
 
 
 def plan_every_order(largest: int) -> OrderPlan:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -10,6 +11,7 @@ import torch
 from precompute import carried_orders
 from precompute.carried_orders import (
     CarriedOrders,
+    CarryingEffort,
     carried_asymmetries,
     carry_orders,
     last_traced_orders,
@@ -32,6 +34,7 @@ from tests.support.volumes import noise_box, towards, uniform_box, view_north
 SUN = towards(140.0, 35.0)
 ASYMMETRY, DEGREE = torch.tensor([-0.3, 0.0, 0.5]), 3
 EXTINCTION = torch.tensor([0.4, 1.0])
+COARSEST = 1.0 / 32.0
 
 
 def carry(
@@ -72,14 +75,16 @@ def test_last_traced_orders_rise_with_the_lobe_and_are_knots() -> None:
 
 def test_a_lattice_that_does_not_resolve_free_paths_is_none() -> None:
     grid = noise_box(12)
-    assert resolving_lattice(grid, 1.0, 3000) is not None
-    assert resolving_lattice(grid, 1.0, 20) is None
-    thin = resolving_lattice(grid, 0.1, 300)
+    effort = CarryingEffort(DEGREE, 3000, COARSEST, 3.5)
+    assert resolving_lattice(grid, 1.0, effort) is not None
+    assert resolving_lattice(grid, 1.0, replace(effort, points=20)) is None
+    thin = resolving_lattice(grid, 0.1, replace(effort, points=300))
     assert thin is not None
     assert len(thin.numbers) <= 330
     cell_depth = 0.1 * grid.maximum * float(thin.lattice.spacing.max())
-    assert cell_depth <= carried_orders.DEEPEST_CELL
-    assert resolving_lattice(grid, 3.6, 10_000) is None
+    assert cell_depth <= 3.5
+    assert resolving_lattice(grid, 3.6, replace(effort, points=10_000)) is None
+    assert resolving_lattice(grid, 3.6, replace(effort, points=10_000, deepest_cell=10.0)) is not None
 
 
 def test_eight_asymmetries_are_carried_those_of_narrow_lobes_first() -> None:
@@ -317,7 +322,7 @@ def relative_errors() -> tuple[float, float]:
     exact = reference(float(extinction)).orders[4:].sum(0)[view.pixel]
     found = []
     for seed in range(4):
-        lattice = resolving_lattice(view.grid, float(extinction), 3000)
+        lattice = resolving_lattice(view.grid, float(extinction), CarryingEffort(DEGREE, 3000, COARSEST, 3.5))
         assert lattice is not None
         asymmetry = torch.tensor([CLOUD_ASYMMETRY])
         carried = carry_orders(view, lattice, asymmetry, extinction, plan_orders(18), DEGREE, 0.5, seed)

@@ -8,7 +8,7 @@ import torch
 from precompute import error_probe
 from precompute.error_budget import ALBEDOS
 from precompute.error_probe import PROBE_RAYS, ErrorProbe, SmoothSource, probe_rays
-from precompute.gather import lattice_over, stratify_rays
+from precompute.gather import lattice_over
 from precompute.order_plan import close_tail, plan_orders
 from precompute.path_sampler import TableNodes
 from precompute.single_scattering import compute_single_scattering
@@ -18,6 +18,7 @@ from precompute.source_points import SourcePoints, SourceTable
 from precompute.view import view_of
 from render.phase_functions import evaluate_phase_function
 from render.scattering_stack import sum_tail
+from tests.support.rays import stratify_rays
 from tests.support.volumes import smooth_box, towards, view_north
 
 

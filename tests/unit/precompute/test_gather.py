@@ -5,9 +5,10 @@ import pytest
 import torch
 from scipy import integrate
 
-from precompute.gather import Bags, Lattice, gather_bags, lattice_over, stratify_rays
+from precompute.gather import Bags, Lattice, gather_bags, lattice_over
 from render.density_grid import DensityGrid
 from render.ray_march import compute_optical_length
+from tests.support.rays import stratify_rays
 from tests.support.volumes import noise_box, random_rays, uniform_box
 
 EXTINCTION = torch.tensor([1e-6, 0.05, 0.4, 3.0, 2000.0])

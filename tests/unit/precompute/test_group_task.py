@@ -1,9 +1,12 @@
 """How finely the rays of a group are cut."""
 
+import pytest
 import torch
 
+from precompute import group_task
 from precompute.error_budget import ALBEDOS, Effort
-from precompute.group_task import SECTIONS_PER_STRATUM, GroupTask
+from precompute.group_task import LARGEST_STEP, SECTIONS_PER_STRATUM, SMALLEST_STEP, GroupTask
+from precompute.order_plan import plan_orders
 from precompute.view import view_of
 from tests.support.volumes import smooth_box, towards, view_north
 
@@ -29,3 +32,19 @@ def test_strata_are_fewer_in_thin_clouds() -> None:
     assert task(20.0, None).strata == task(2.0, None).strata == STRATA
     assert task(0.49, None).strata == STRATA // 2
     assert 1 < task(1e-6, None).strata < STRATA
+
+
+def test_rough_tables_take_longer_steps() -> None:
+    assert task(1e4, None).step == task(1e4, 0.02).step == SMALLEST_STEP
+    assert SMALLEST_STEP < task(1e4, 0.1).step < LARGEST_STEP
+    assert task(1e-4, 0.1).step == task(1e-4, 0.02).step == LARGEST_STEP
+
+
+def test_rough_tables_carry_light_on_fewer_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(group_task, "ROUGH_POINTS", 500)
+    plan = plan_orders(18)
+    rough, fine = (task(20.0, tolerance).carry(plan, 500, lambda share: None) for tolerance in (0.1, 0.02))
+    assert rough is not None
+    assert fine is not None
+    assert len(rough.lattice.numbers) < len(fine.lattice.numbers)
+    assert rough.degree < fine.degree

@@ -256,5 +256,12 @@ def test_a_tolerance_is_met_at_all_extinctions_or_not_at_all(
     errors: list[float], found: float, asked: list[int]
 ) -> None:
     smoother = ListedErrors(errors)
-    assert source_group._error_so_far(smoother, len(errors), 0.02) == pytest.approx(found)  # type: ignore[arg-type]
+
+    def gather() -> tuple[torch.Tensor, list[SimpleNamespace]]:
+        return torch.empty(0), list(smoother.at(range(len(errors))))
+
+    error, images = source_group._error_so_far(smoother, gather, len(errors), 0.02)  # type: ignore[arg-type]
+    assert error == pytest.approx(found)
     assert smoother.asked == asked
+    # Images that were made to be judged are not made again.
+    assert (images is not None) == (len(asked) > len(errors))
