@@ -33,7 +33,8 @@ from precompute.drawn_flights import BITS, FRACTIONS, DrawnFlights, draw_flights
 from precompute.free_flight import march_to_sun
 from precompute.in_threads import map_in_threads
 from precompute.light_lattice import LightLattice, light_lattice_over, spacing_for
-from precompute.order_plan import LARGEST_RATIO, SEPARATE_ORDERS, OrderPlan, place_knots
+from precompute.order_plan import SEPARATE_ORDERS, OrderPlan, place_knots
+from precompute.order_tail import HISTORY, extrapolate_orders
 from precompute.path_sampler import EVERY_ORDER
 from precompute.view import View
 from render.density_grid import DensityGrid
@@ -44,6 +45,10 @@ from render.spherical_harmonics import degrees_of_harmonics, evaluate_harmonics
 
 HIGH_ORDER, HIGH_DEGREE = 10, 3
 """Order beyond which light has become round enough for harmonics up to that degree."""
+
+SHARPENED_DEGREE = 1
+"""Harmonics up to which light is sharpened: what keeps the amount and the flow of light. At higher degrees it let a pattern of the lattice
+grow at asymmetries of 0.9, until by the 66th order a quarter of the light was that."""
 
 SETS = 2
 """Of directions that orders take turns with, in each half."""
@@ -60,9 +65,8 @@ FEATURE_STRIDE = 2
 ROUND = 0.015
 """Share |g|^(k (degree + 1)) of what the harmonics leave out of order k, from which on that order is carried."""
 
-LAST_CARRIED, RATIO_ORDERS = 66, 8
-"""Orders beyond have the shape of this one, and fall as the last ones did. A law k^(-3/2) r^k with r from the whole upper half made all
-carried light 13 per cent too bright in a cloud of optical depth 35, where this one errs by 0.6."""
+LAST_CARRIED = 58
+"""Order that light is carried to; those beyond follow from the ones before, see `order_tail`."""
 
 FAINT = 1e-4
 """Share of the light so far that an order adds below which none is carried further."""
@@ -227,7 +231,7 @@ class _Carrier:
         light = (sun[:, None] * damping)[:, None] * torch.exp(-self._extinction * length)[:, None]
         space, towards_camera = _Space.like(light, self._sets[0].ring), torch.empty_like(light[0])
         found = torch.zeros(len(plan.knots), len(position), len(asymmetry))
-        energy, low, sets = list[Tensor](), list[Tensor](), self._sets
+        energy, low, sets, history = list[Tensor](), list[Tensor](), self._sets, list[Tensor]()
         last = min(plan.largest_order, LAST_CARRIED)
         for order in range(2, last + 1):
             if order == HIGH_ORDER + 1 and degree > HIGH_DEGREE:
@@ -240,15 +244,42 @@ class _Carrier:
                 towards_camera.addcmul_(one, harmonic[:, None])
             if order <= SEPARATE_ORDERS:
                 low.append(towards_camera[:, ::FEATURE_STRIDE].clone())
-            source = towards_camera @ between
-            energy.append(source.mean(0, dtype=torch.float64))
+            history = [*history[1 - HISTORY :], towards_camera.clone()]
+            energy.append(towards_camera.mean(0, dtype=torch.float64).abs())
             shares = plan.shares[order - 2].float()[:, None] * (order > traced)
+            if bool(shares.any()):
+                source = towards_camera @ between
             for knot in torch.nonzero(shares.any(1)).flatten().tolist():
                 found[knot].addcmul_(source, shares[knot])
-            if order > traced.max() and bool((energy[-1].abs() <= FAINT * torch.stack(energy).sum(0)).all()):
+            faint = energy[-1] <= FAINT * torch.stack(energy).sum(0)
+            if order > traced.max() and bool(faint.all()):
                 break
-        whole = self._extend(found, source, torch.stack(energy), plan).movedim(0, 1).contiguous()
-        return whole, torch.cat(low, dim=1)
+        else:
+            # Faint light is noise of either sign, from which nothing follows.
+            self._extend(found, history, between * ~faint[:, None], traced, last, plan)
+        return found.movedim(0, 1).contiguous(), torch.cat(low, dim=1)
+
+    @staticmethod
+    def _extend(
+        found: Tensor, history: list[Tensor], between: Tensor, traced: Tensor, last: int, plan: OrderPlan
+    ) -> None:
+        """Add the orders beyond the last that was carried, where they are not traced.
+
+        Args:
+            found: J `(knot, point, asymmetry)`, changed in place.
+            history: J at the asymmetries that are carried, of the last orders `(point, carried)`.
+            between: from those to all asymmetries `(carried, asymmetry)`.
+            traced: last orders that are `(asymmetry,)`.
+            last: order that was carried.
+            plan: of all orders.
+        """
+        after = traced.clamp(min=last)
+        for order in after.unique().tolist():
+            members = torch.nonzero(after == order).flatten()
+            missing = plan.shares[last - 1 :].clone()
+            missing[: order - last] = 0.0
+            if bool(missing.any()):
+                found[:, :, members] += extrapolate_orders(history, missing) @ between[:, members]
 
     def _scatter(
         self, light: Tensor, damping: Tensor, directions: DirectionSet, flights: DrawnFlights, space: "_Space"
@@ -256,7 +287,12 @@ class _Carrier:
         """The next order of light `(harmonic, point, asymmetry)`, in its place."""
         fused = fused_loops_wanted(light)
         sharpen, gather = (_sharpen_fused, _gather_fused) if fused else (_sharpen, _gather)
-        sharpen(self._lattice, light, flights.spread, space.sharp)
+        space.sharp.copy_(light)
+        for number in (
+            torch.nonzero(degrees_of_harmonics(directions.degree, odd=True) <= SHARPENED_DEGREE).flatten().tolist()
+        ):
+            one = slice(number, number + 1)
+            sharpen(self._lattice, light[one], flights.spread, space.sharp[one])
         light.zero_()
         for first in range(0, len(directions.direction), directions.ring):
             block = slice(first, first + directions.ring)
@@ -264,21 +300,6 @@ class _Carrier:
             gather(self._lattice, space.along, flights.part(block), space.brought)
             light.flatten(1).addmm_(directions.projection[:, block], space.brought.flatten(1))
         light.mul_(damping[:, None])
-
-    def _extend(self, found: Tensor, source: Tensor, energy: Tensor, plan: OrderPlan) -> Tensor:
-        """Add the orders beyond the last that was carried, which have its shape."""
-        last = len(energy) + 1
-        if last >= plan.largest_order:
-            return found
-        before = max(1, len(energy) - RATIO_ORDERS)
-        # Faint light is noise of either sign, from which no decay follows; what is faint by now has no tail that matters.
-        lit = (energy[-1] > FAINT * energy.sum(0)) & (energy[before - 1] > energy[-1])
-        decay = torch.where(lit, energy[-1] / energy[before - 1].clamp(min=1e-300), 0.0)
-        ratio = (decay ** (1.0 / max(1, len(energy) - before))).clamp(max=LARGEST_RATIO)
-        beyond = torch.arange(1, plan.largest_order - last + 1, dtype=torch.float64)
-        falling = ratio[:, None] ** beyond
-        shares = (falling @ plan.shares[last - 1 :]).float()
-        return found.addcmul_(source, shares.T[:, None])
 
 
 @dataclass(frozen=True, eq=False)

@@ -274,10 +274,8 @@ def test_any_depth_stays_finite_and_within_bounds(depth: float) -> None:
     assert bool((source[..., 1].amax() > 1e-3) == (depth == 10.0))
 
 
-def without_tail(
-    self: object, found: torch.Tensor, source: torch.Tensor, energy: torch.Tensor, plan: OrderPlan
-) -> torch.Tensor:
-    return found
+def without_tail(*arguments: object) -> None:
+    """Nothing is added."""
 
 
 @pytest.mark.parametrize("depth", [0.01, 0.1, 1.0])
@@ -286,7 +284,7 @@ def test_orders_without_light_have_no_tail(depth: float, monkeypatch: pytest.Mon
     cases = [(seed, lobe) for seed in range(2) for lobe in torch.tensor([-0.95, -0.6, 0.0, 0.9])]
     thin = torch.tensor([depth / 4.0])
     found = [carry(noise_box(4), lobe[None], thin, plan_orders(66), seed).source for seed, lobe in cases]
-    monkeypatch.setattr(carried_orders._Carrier, "_extend", without_tail)
+    monkeypatch.setattr(carried_orders._Carrier, "_extend", staticmethod(without_tail))
     for (seed, lobe), source in zip(cases, found, strict=True):
         cut = carry(noise_box(4), lobe[None], thin, plan_orders(66), seed).source
         # A tail at the slowest decay that is allowed would hold the last order tens of times.
@@ -364,7 +362,7 @@ def test_the_orders_beyond_the_last_carried_follow_its_law(extinction: float, mo
     whole = carry(*arguments).source.sum(3).mean((0, 1, 2))
     monkeypatch.setattr(carried_orders, "LAST_CARRIED", 24)
     extended = carry(*arguments).source.sum(3).mean((0, 1, 2))
-    monkeypatch.setattr(carried_orders._Carrier, "_extend", without_tail)
+    monkeypatch.setattr(carried_orders._Carrier, "_extend", staticmethod(without_tail))
     cut = carry(*arguments).source.sum(3).mean((0, 1, 2))
     assert (cut < whole).all()
     assert ((extended - whole).abs() < 0.2 * (whole - cut)).all()
