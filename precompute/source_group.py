@@ -41,6 +41,9 @@ THICK_SPACING = 0.5
 FAINT_SHARE, FAINT_EFFORT = 5.0, 0.1
 """Multiple scattering below so many times the tolerance gets a tenth of the points and paths; the error is estimated as ever."""
 
+DARKEST = 0.2
+"""Light at a point over its mean that paths are spent for at least."""
+
 LARGEST_LATTICE = 1 << 24
 """Lattice points that may be numbered, whether or not they are used."""
 
@@ -108,6 +111,8 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     clock.lap("source points")
     carried = task.carry(plan, effort.points, lambda share: report(0.1 + 0.1 * share))
     clock.lap("carried orders")
+    if carried is not None:
+        _weigh_by_light(importance, lattice, carried)
     table = _path_table(task, lattice, plan, carried)
     table.add_pass(allocate_paths(importance, effort.first_paths), lambda share: report(0.2 + 0.1 * share))
     clock.lap("paths")
@@ -142,6 +147,14 @@ def _path_table(task: GroupTask, lattice: Lattice, plan: OrderPlan, carried: Car
     last_orders = partial(last_traced_orders, degree=carried.degree)
     last = min(int(last_orders(task.asymmetry).max()), plan.largest_order)
     return task.source_table(lattice, plan.until(last), task.nodes(last_orders), 1)
+
+
+def _weigh_by_light(importance: Tensor, lattice: Lattice, carried: CarriedOrders) -> None:
+    """Multiply the importance of points by the square of the light there, to which the deviation of its paths is about proportional."""
+    used = torch.nonzero(importance).flatten()
+    light = torch.stack([carried.features_at(node, lattice.positions(used)) for node in range(len(carried.features))])
+    light = light.clamp(min=0.0) / light.mean(1, keepdim=True).clamp(min=1e-30)
+    importance[used] *= light.mean((0, 2)).clamp(min=DARKEST).double().square()
 
 
 class _Smoother:
