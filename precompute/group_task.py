@@ -43,7 +43,7 @@ LEAST_CARRIED, COARSEST_CARRIED, DEEPEST_CELL = 14_000, 1.0 / 32.0, 3.5
 ROUGH_TOLERANCE = 0.05
 """Above it light is carried on few points, in few directions and with long steps, which still leaves less error than few paths do."""
 
-ROUGH_POINTS, ROUGH_DEGREE, ROUGH_COARSEST, ROUGH_CELL, ROUGH_STEP = 8000, 2, 1.0 / 20.0, 10.0, 2.0
+ROUGH_POINTS, ROUGH_DEGREE, ROUGH_COARSEST, ROUGH_CELL, ROUGH_STEP = 8000, 2, 1.0 / 20.0, 5.0, 2.0
 """What `CARRIED_POINTS` and the others are then, and the factor on the marching step."""
 
 FEWEST_CARRIED = 18

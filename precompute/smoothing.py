@@ -51,7 +51,6 @@ class Neighbourhood:
             yield expected + weighted / weight
         yield expected
 
-
     def sharpen(self, values: Tensor) -> Tensor:
         """Values `(point, column)` less a twelfth of their second differences along the axes where both neighbours are there.
 

@@ -292,6 +292,25 @@ def test_orders_without_light_have_no_tail(depth: float, monkeypatch: pytest.Mon
         assert float((source - cut).abs().max()) <= float(cut.abs().max())
 
 
+def test_no_pattern_of_the_lattice_grows_behind_a_narrow_lobe(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light falls from order to order; where all harmonics were sharpened it did not."""
+    view = cloud_view()
+    extinction = torch.tensor([57.0 / view.largest_optical_length])
+    lattice = light_lattice_over(view.grid, 1.0, 3000)
+    plan = plan_every_order(carried_orders.LAST_CARRIED)
+
+    def decay() -> float:
+        """Ratio of the last orders to those twelve before."""
+        carried = carry_orders(view, lattice, torch.tensor([0.93]), extinction, plan, DEGREE, 0.5, 0)
+        of_order = carried.source[0, ..., 0].square().mean((0, 1)).sqrt()
+        return float((of_order[-1] / of_order[-13]) ** (1.0 / 12.0))
+
+    steady = decay()
+    monkeypatch.setattr(carried_orders, "SHARPENED_DEGREE", DEGREE)
+    assert steady < 0.98
+    assert decay() > 1.0
+
+
 # Against the reference path tracer.
 
 CLOUD_ASYMMETRY = 0.3

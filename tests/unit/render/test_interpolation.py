@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from render.errors import ParameterError
-from render.interpolation import cubic_weights, interpolate_limited, limited_slopes
+from render.interpolation import cubic_weights, interpolate_limited, interpolate_limited_each, limited_slopes
 
 NODES = torch.tensor([-1.0, 0.0, 0.3, 2.0, 2.5, 7.0], dtype=torch.float64)
 INSIDE = torch.linspace(-1.0, 7.0, 401, dtype=torch.float64)
@@ -145,6 +145,40 @@ def test_limited_interpolation_is_differentiable() -> None:
     samples = torch.randn(2, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     values = torch.tensor([-0.9, 0.1, 1.7, 6.0], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda v: limited(samples, v), (values,))
+
+
+def limited_each(samples: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    """Values `(population, row)` where every value has the same samples `(row, node)`."""
+    return interpolate_limited_each(NODES, samples.expand(len(values), -1, -1), values)
+
+
+def test_each_value_has_samples_of_its_own() -> None:
+    samples = torch.randn(5, 3, len(NODES), dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    values = torch.tensor([-9.0, 0.1, 1.7, 2.5, 9.0], dtype=torch.float64)
+    rows = [interpolate_limited_each(NODES, samples[n : n + 1], values[n : n + 1]) for n in range(5)]
+    torch.testing.assert_close(interpolate_limited_each(NODES, samples, values), torch.cat(rows))
+    assert interpolate_limited_each(NODES[:1], samples[..., :1], values).shape == (5, 3)
+
+
+def test_smooth_samples_of_each_are_interpolated_as_without_limits() -> None:
+    samples = torch.stack([(0.2 * NODES).exp(), 3.0 - NODES])
+    torch.testing.assert_close(limited_each(samples, INSIDE), cubic_weights(NODES, INSIDE) @ samples.T)
+
+
+def test_a_cliff_does_not_bend_the_samples_of_each_beside_it() -> None:
+    samples = torch.tensor([[3.0, -25.0, -85.0, 240.0, 90.0, 80.0]], dtype=torch.float64)
+    found = limited_each(samples, INSIDE)[:, 0]
+    assert float(found.max()) < 300.0
+    assert (
+        float((cubic_weights(NODES, INSIDE) @ samples[0]).max()) > 300.0
+        or float((cubic_weights(NODES, INSIDE) @ samples[0]).min()) < float(found.min()) - 1.0
+    )
+
+
+def test_interpolation_of_each_is_differentiable() -> None:
+    samples = torch.randn(2, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    values = torch.tensor([-0.9, 0.1, 1.7, 6.0], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda v: limited_each(samples, v), (values,))
 
 
 def test_slopes_need_rising_nodes() -> None:
