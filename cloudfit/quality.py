@@ -66,11 +66,11 @@ QUALITIES: dict[str, Quality] = {
     ),
     "standard": Quality(
         0.5,
-        Effort(258, 100_000, 4_000_000, 16, True, 0.02),
+        Effort(258, 100_000, 3_600_000, 16, True, 0.02),
         Effort(258, 150_000, 3_000_000, 16, True, 0.02),
         11,
         10,
-        0.15,
+        0.08,
     ),
     "reference": Quality(
         0.5,
@@ -78,6 +78,6 @@ QUALITIES: dict[str, Quality] = {
         Effort(258, 400_000, 40_000_000, 24, True, 0.005),
         15,
         15,
-        0.08,
+        0.05,
     ),
 }

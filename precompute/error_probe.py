@@ -127,7 +127,7 @@ class ErrorProbe:
             smooth.append(_choose(images, best))
             power = smooth[-1].double().mean(1).square().mean(0)
             of_knots.append(relative_error(errors.gather(0, best[None])[0], power))
-            result.append(neighbours.sharpen(_choose(levels, best).mean(1)))
+            result.append(_choose(levels, best).mean(1))
         both = torch.stack(raw, dim=2), torch.stack(smooth, dim=2)
         return SmoothSource(
             torch.stack(result, dim=1),

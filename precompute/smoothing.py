@@ -51,17 +51,6 @@ class Neighbourhood:
             yield expected + weighted / weight
         yield expected
 
-    def sharpen(self, values: Tensor) -> Tensor:
-        """Values `(point, column)` less a twelfth of their second differences along the axes where both neighbours are there.
-
-        Linear interpolation at a share w of the way lies w (1 - w) / 2 second differences too high, a twelfth on average.
-        """
-        sharp = values.clone()
-        for neighbours, taps in self.axes[0]:
-            inner = ((taps[:, 1] > 0) & (taps[:, 3] > 0)).to(values)[:, None] / 12.0
-            sharp -= inner * (values[neighbours[:, 1]] + values[neighbours[:, 3]] - 2.0 * values)
-        return sharp
-
 
 def find_neighbours(lattice: Lattice, numbers: Tensor, paths: Tensor) -> Neighbourhood:
     """Neighbours of source points.

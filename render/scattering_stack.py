@@ -23,6 +23,7 @@ from torch import Tensor, nn
 
 from render.depth_nodes import depth_coordinate
 from render.errors import ParameterError
+from render.faint_images import follow_thicker
 from render.interpolation import cubic_weights, interpolate_limited, interpolate_limited_each, limited_slopes
 from render.phase_functions import evaluate_phase_function
 
@@ -136,7 +137,7 @@ class ScatteringStack(nn.Module):
         log_mean = (mean.double().log() - _thin_powers(tables.knots)[:, None, None] * log_nodes).to(mean)
         relative = tables.multiple / mean[..., None]
         nodes = depth_coordinate(tables.extinction, tables.soft_extinction)
-        _follow_thicker(black, nodes, log_mean, relative)
+        follow_thicker(black, nodes, log_mean, relative)
         self.register_buffer("log_mean", log_mean.flatten(0, 1))
         self.register_buffer("log_mean_slopes", limited_slopes(nodes, log_mean).flatten(0, 1))
         self.register_buffer("relative", relative.flatten(1, 2))
@@ -240,26 +241,6 @@ def _thin_powers(knots: Tensor) -> Tensor:
     """Power of the extinction that each image is in a thin cloud: the lowest order that adds to it `(knot,)`, float64."""
     lowest = torch.cat([knots[:1], knots[:-1] + 1]) if len(knots) else knots
     return lowest.double()
-
-
-def _follow_thicker(black: Tensor, nodes: Tensor, log_mean: Tensor, relative: Tensor) -> None:
-    """Give images too faint for a float the shape of the next thicker one, and a mean that goes on as those of the next two do.
-
-    What the interpolation makes of a floor instead reaches up to the next images, and has multiplied them by ten.
-
-    Args:
-        black: whether an image is too faint `(knot, asymmetry, extinction)`.
-        nodes: coordinate of the extinctions `(extinction,)`.
-        log_mean: logarithms of the means over their thin powers, changed in place `(knot, asymmetry, extinction)`.
-        relative: images over their means, likewise `(knot, asymmetry, extinction, pixel)`.
-    """
-    last = black.shape[2] - 1
-    for node in range(last - 1, -1, -1):
-        here, next_one, after = black[:, :, node], log_mean[:, :, node + 1], log_mean[:, :, min(node + 2, last)]
-        reach = (nodes[node + 1] - nodes[node]) / (nodes[min(node + 2, last)] - nodes[node + 1]).clamp(min=1e-30)
-        going_on = next_one + (next_one - after) * reach.to(after)
-        log_mean[:, :, node] = torch.where(here, going_on, log_mean[:, :, node])
-        relative[:, :, node][here] = relative[:, :, node + 1][here]
 
 
 def sum_tail(kept: Tensor, largest_order: int) -> Tensor:

@@ -34,30 +34,6 @@ def some_points(lattice: Lattice, share: float = 0.4) -> tuple[torch.Tensor, tor
     return numbers, 2 ** torch.randint(2, 12, (len(numbers),), generator=generator)
 
 
-def test_sharpened_curves_are_right_on_average_between_the_points() -> None:
-    neighbours = find_neighbours(CUBE, every(CUBE), torch.full((CUBE.size,), 4))
-    position = CUBE.positions(every(CUBE))
-    curved = (0.3 * position**2 - position).sum(1, keepdim=True)
-    generator = torch.Generator().manual_seed(5)
-    places = 2.0 + 19.0 * torch.rand(20_000, 3, generator=generator)
-    numbers, weights = CUBE.corners(places)
-    exact = (0.3 * places**2 - places).sum(1)
-
-    def error(values: torch.Tensor) -> torch.Tensor:
-        return (values[numbers, 0] * weights).sum(1) - exact
-
-    plain, sharp = error(curved), error(neighbours.sharpen(curved))
-    assert abs(float(sharp.mean())) < 0.02 * float(plain.mean())
-    assert float(sharp.square().mean()) < 0.2 * float(plain.square().mean())
-
-
-def test_points_without_neighbours_are_not_sharpened() -> None:
-    numbers = torch.tensor([0, 777, 778, CUBE.size - 1])
-    values = torch.tensor([[1.0], [5.0], [2.0], [-3.0]])
-    neighbours = find_neighbours(CUBE, numbers, torch.full((4,), 4))
-    assert torch.equal(neighbours.sharpen(values), values)
-
-
 def test_levels_begin_with_the_source_itself() -> None:
     source = torch.randn(LATTICE.size, 3, generator=torch.Generator().manual_seed(1))
     levels = smoothed(LATTICE, every(LATTICE), source)
