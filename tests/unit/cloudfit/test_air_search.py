@@ -26,13 +26,13 @@ def test_the_search_of_the_air_finds_the_air_of_each_channel(refinements: int) -
 
 def test_refinements_find_air_between_the_steps_of_the_paper() -> None:
     # A ninth and a third of a step from one of the 11, and a third above no air at all.
-    air = (0.9 + 0.1 / 3, 0.7, 0.1)
+    air = (1.2 + 0.1 / 3, 0.7, 0.1)
     problem = problem_with_known_answer(air)
     coarse, once, twice = (
         search_haze(true_cloud(problem), problem.sky, problem.target, "srgb", number) for number in range(3)
     )
-    assert coarse.air_depth[0].tolist() == pytest.approx([0.9, 0.6, 0.0])
-    assert once.air_depth[0].tolist() == pytest.approx([0.9, 0.7, 0.1])
+    assert coarse.air_depth[0].tolist() == pytest.approx([1.2, 0.6, 0.0])
+    assert once.air_depth[0].tolist() == pytest.approx([1.2, 0.7, 0.1])
     assert twice.air_depth[0].tolist() == pytest.approx(air)
     assert float(coarse.loss.min()) > 0.2
     assert float(twice.loss.max()) < 0.02
