@@ -288,9 +288,8 @@ class _Carrier:
         fused = fused_loops_wanted(light)
         sharpen, gather = (_sharpen_fused, _gather_fused) if fused else (_sharpen, _gather)
         space.sharp.copy_(light)
-        for number in (
-            torch.nonzero(degrees_of_harmonics(directions.degree, odd=True) <= SHARPENED_DEGREE).flatten().tolist()
-        ):
+        flow = torch.nonzero(degrees_of_harmonics(directions.degree, odd=True) <= SHARPENED_DEGREE).flatten()
+        for number in flow.tolist():
             one = slice(number, number + 1)
             sharpen(self._lattice, light[one], flights.spread, space.sharp[one])
         light.zero_()
