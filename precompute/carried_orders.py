@@ -56,6 +56,10 @@ SETS = 2
 CELL_DEPTH = 1.4
 """Optical depth of the densest cell between lattice points that is aimed at."""
 
+STAGGER = (-0.25, 0.25)
+"""Shifts of the lattices of the two halves in spacings: points of one lie in the middle of the other's cells, so that the halves differ by
+what a lattice misses as well as by noise, and their mean misses less."""
+
 CARRIED_ASYMMETRIES = 8
 """At most; others are interpolated between them. Eight numbers of 32 bits fill a vector register."""
 
@@ -97,29 +101,34 @@ class CarriedOrders:
     """The source of the orders that were carried.
 
     Args:
-        lattice: of the points.
+        lattices: of each half's points.
         degree: of the harmonics.
-        source: J, sharpened, `(extinction, half, point, knot, asymmetry)` [1/sr], for unit sunlight and albedo one.
-        features: J of the orders two to four at some asymmetries, sharpened, `(extinction, point, feature)`: too rough to be taken for
-            the orders that are traced, but nearly without noise.
+        source: J of each half, sharpened, `(extinction, point, knot, asymmetry)` [1/sr], for unit sunlight and albedo one.
+        features: of each half, J of the orders two to four at some asymmetries, sharpened, `(extinction, point, feature)`: too rough to be
+            taken for the orders that are traced, but nearly without noise.
     """
 
-    lattice: LightLattice
+    lattices: tuple[LightLattice, LightLattice]
     degree: int
-    source: Tensor
-    features: Tensor
+    source: tuple[Tensor, Tensor]
+    features: tuple[Tensor, Tensor]
+
+    @property
+    def points(self) -> int:
+        """Of both lattices together."""
+        return sum(len(lattice.numbers) for lattice in self.lattices)
 
     def at(self, node: int, position: Tensor) -> Tensor:
         """J at positions `(position, 3)` [m] at one extinction: `(position, half, knot, asymmetry)`."""
-        source = self.source[node]
-        found = source.new_empty(len(position), *source.shape[:1], *source.shape[2:])
-        for number, half in enumerate(source):
-            found[:, number] = self.lattice.interpolate(half.flatten(1), position).unflatten(1, half.shape[1:])
+        found = position.new_empty(len(position), 2, *self.source[0].shape[2:])
+        for half, (lattice, source) in enumerate(zip(self.lattices, self.source, strict=True)):
+            found[:, half] = lattice.interpolate(source[node].flatten(1), position).unflatten(1, found.shape[2:])
         return found
 
     def features_at(self, node: int, position: Tensor) -> Tensor:
-        """Features at positions `(position, 3)` [m] at one extinction `(position, feature)`."""
-        return self.lattice.interpolate(self.features[node], position)
+        """Features at positions `(position, 3)` [m] at one extinction, means of both halves `(position, feature)`."""
+        first, second = zip(self.lattices, self.features, strict=True)
+        return 0.5 * (first[0].interpolate(first[1][node], position) + second[0].interpolate(second[1][node], position))
 
 
 def last_traced_orders(asymmetry: Tensor, degree: int) -> Tensor:
@@ -145,17 +154,20 @@ def carried_asymmetries(asymmetry: Tensor) -> Tensor:
     return kept
 
 
-def resolving_lattice(grid: DensityGrid, extinction: float, effort: CarryingEffort) -> LightLattice | None:
-    """Lattice that resolves the mean free paths at an extinction [1/m]; None where it would take too many points."""
+def resolving_lattices(
+    grid: DensityGrid, extinction: float, effort: CarryingEffort
+) -> tuple[LightLattice, LightLattice] | None:
+    """Lattices that resolve the mean free paths at an extinction [1/m]; None where they would take too many points."""
     coarsest = effort.coarsest * max(grid.density.shape)
-    lattice = light_lattice_over(grid, min(coarsest, spacing_for(grid, extinction, CELL_DEPTH)), effort.points)
-    cell_depth = extinction * grid.maximum * float(lattice.lattice.spacing.max())
-    return lattice if cell_depth <= effort.deepest_cell else None
+    spacing = min(coarsest, spacing_for(grid, extinction, CELL_DEPTH))
+    first, second = (light_lattice_over(grid, spacing, effort.points, shift) for shift in STAGGER)
+    cell_depth = extinction * grid.maximum * float(first.lattice.spacing.max())
+    return (first, second) if cell_depth <= effort.deepest_cell else None
 
 
 def carry_orders(
     view: View,
-    lattice: LightLattice,
+    lattices: tuple[LightLattice, LightLattice],
     asymmetry: Tensor,
     extinction: Tensor,
     plan: OrderPlan,
@@ -168,7 +180,7 @@ def carry_orders(
 
     Args:
         view: volume, camera and sun.
-        lattice: to carry them on.
+        lattices: to carry each half on.
         asymmetry: nodes `(asymmetry,)`.
         extinction: nodes `(extinction,)` [1/m].
         plan: all orders and their images.
@@ -177,30 +189,34 @@ def carry_orders(
         seed: of the random numbers.
         on_progress: called with the share that is done.
     """
-    count = SETS + len(lattice.numbers)
     # Keys of zero would name the streams of source tables, which have the seed alone.
-    keys = [counter_keys(stream_number(seed, 1 + half), torch.arange(count)) for half in range(2)]
+    keys = [
+        counter_keys(stream_number(seed, 1 + half), torch.arange(SETS + len(lattice.numbers)))
+        for half, lattice in enumerate(lattices)
+    ]
     draws = [counter_uniform(of_half[:SETS, None].expand(-1, 3), torch.arange(3).expand(SETS, -1)) for of_half in keys]
     sets = [[turned_directions(degree, turn) for turn in of_half] for of_half in draws]
 
     def draw(piece: int) -> list[DrawnFlights]:
         half, turn = divmod(piece, SETS)
         shift = counter_uniform(keys[half][SETS:], turn)
-        return draw_flights(view.grid, lattice, sets[half][turn], extinction, shift, step)
+        return draw_flights(view.grid, lattices[half], sets[half][turn], extinction, shift, step)
 
     flights = map_in_threads(draw, 2 * SETS, lambda done: on_progress(0.3 * done / (2 * SETS)))
 
     def carry(piece: int) -> tuple[Tensor, Tensor]:
         node, half = divmod(piece, 2)
         of_sets = [flights[half * SETS + turn][node] for turn in range(SETS)]
+        lattice = lattices[half]
         carrier = _Carrier(view, lattice, float(extinction[node]), step, sets[half], of_sets)
         source, low = carrier.carry(asymmetry, plan)
         return lattice.sharpen(source.flatten(1), MEAN_SPREAD).view_as(source), lattice.sharpen(low, MEAN_SPREAD)
 
     nodes = len(extinction)
     pieces = map_in_threads(carry, 2 * nodes, lambda done: on_progress(0.3 + 0.35 * done / nodes))
-    source, low = (torch.stack(ones).unflatten(0, (-1, 2)) for ones in zip(*pieces, strict=True))
-    return CarriedOrders(lattice, degree, source, low.mean(1))
+    halves = [[torch.stack(ones) for ones in zip(*pieces[half::2], strict=True)] for half in range(2)]
+    source, features = zip(*halves, strict=True)
+    return CarriedOrders(lattices, degree, source, features)
 
 
 class _Carrier:

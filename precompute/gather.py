@@ -64,13 +64,19 @@ class Lattice:
         return numbers.flatten(-3), weights.flatten(-3)
 
 
-def lattice_over(grid: DensityGrid, stretch: float) -> Lattice:
-    """Lattice over the box of a volume whose points lie about `stretch` voxels apart, the outer ones half a spacing inside."""
+def lattice_over(grid: DensityGrid, stretch: float, shift: float = 0.0) -> Lattice:
+    """Lattice over the box of a volume.
+
+    Args:
+        grid: the volume.
+        stretch: distance of the points in voxels, about.
+        shift: of all points along each axis in spacings, from where the outer ones lie half a spacing inside.
+    """
     extent = grid.upper - grid.lower
     cells = torch.round(extent / (grid.voxel_size * stretch)).clamp(min=1.0)
     nx, ny, nz = (int(n) for n in cells)
     spacing = extent / cells
-    return Lattice(grid.lower + 0.5 * spacing, spacing, (nx, ny, nz))
+    return Lattice(grid.lower + (0.5 + shift) * spacing, spacing, (nx, ny, nz))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from precompute.carried_orders import CarriedOrders, CarryingEffort, carry_orders, resolving_lattice
+from precompute.carried_orders import CarriedOrders, CarryingEffort, carry_orders, resolving_lattices
 from precompute.error_budget import Effort
 from precompute.gather import Lattice
 from precompute.order_plan import OrderPlan
@@ -107,15 +107,15 @@ class GroupTask:
         return SourceTable(view.grid, view.camera, view.sun, lattice, nodes, plan, self.step, 2 * self.seed + stream)
 
     def carry(self, plan: OrderPlan, points: int, on_progress: Callable[[float], None]) -> CarriedOrders | None:
-        """High orders, carried on a lattice that suits so many source points; None where it is too coarse, or not worth it."""
+        """High orders, carried on lattices that suit so many source points; None where these are too coarse, or it is not worth it."""
         if plan.largest_order < FEWEST_CARRIED:
             return None
         effort = self._carrying_effort(points)
-        lattice = resolving_lattice(self.view.grid, float(self.extinction[-1]), effort)
-        if lattice is None:
+        lattices = resolving_lattices(self.view.grid, float(self.extinction[-1]), effort)
+        if lattices is None:
             return None
         nodes = (self.asymmetry, self.extinction)
-        return carry_orders(self.view, lattice, *nodes, plan, effort.degree, self.step, self.seed, on_progress)
+        return carry_orders(self.view, lattices, *nodes, plan, effort.degree, self.step, self.seed, on_progress)
 
     @property
     def _rough(self) -> bool:

@@ -64,17 +64,18 @@ class LightLattice:
         return embedding_bag(numbers, values, per_sample_weights=weights, mode="sum")
 
 
-def light_lattice_over(grid: DensityGrid, spacing: float, points: int) -> LightLattice:
+def light_lattice_over(grid: DensityGrid, spacing: float, points: int, shift: float = 0.0) -> LightLattice:
     """Lattice with about a spacing, or as fine as a number of points allows.
 
     Args:
         grid: the volume.
         spacing: wanted distance of the points, at least one [voxel].
         points: at most, about.
+        shift: of all of them along each axis, in spacings.
     """
     stretch = max(spacing, 1.0)
     for _ in range(4):
-        lattice = lattice_over(grid, stretch)
+        lattice = lattice_over(grid, stretch, shift)
         needed = _around_density(grid, lattice)
         if int(needed.sum()) <= 1.1 * points:
             break

@@ -116,8 +116,7 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     table = _path_table(task, lattice, plan, carried)
     table.add_pass(allocate_paths(importance, effort.first_paths), lambda share: report(0.2 + 0.1 * share))
     clock.lap("paths")
-    entry = torch.zeros(lattice.size, dtype=torch.int32)
-    entry[table.numbers] = torch.arange(len(table.numbers), dtype=torch.int32)
+    entry = table.entry()
     once = (single, single_error)
     probe = ErrorProbe(view, lattice, entry, strata, once, task.asymmetry, plan, task.albedo, effort.tail)
     surroundings = measure_surroundings(view.grid, view.camera, view.sun, lattice.positions(table.numbers))
@@ -152,7 +151,8 @@ def _path_table(task: GroupTask, lattice: Lattice, plan: OrderPlan, carried: Car
 def _weigh_by_light(importance: Tensor, lattice: Lattice, carried: CarriedOrders) -> None:
     """Multiply the importance of points by the square of the light there, to which the deviation of its paths is about proportional."""
     used = torch.nonzero(importance).flatten()
-    light = torch.stack([carried.features_at(node, lattice.positions(used)) for node in range(len(carried.features))])
+    nodes, position = range(len(carried.features[0])), lattice.positions(used)
+    light = torch.stack([carried.features_at(node, position) for node in nodes])
     light = light.clamp(min=0.0) / light.mean(1, keepdim=True).clamp(min=1e-30)
     importance[used] *= light.mean((0, 2)).clamp(min=DARKEST).double().square()
 
@@ -311,8 +311,7 @@ def _fly_pilot(task: GroupTask, strata: Strata, single: Tensor) -> Pilot:
     lattice, importance = _place_points(view, part, PILOT_POINTS)
     table = task.source_table(lattice, plan, task.nodes(), 0)
     table.add_pass(allocate_paths(importance, PILOT_PATHS))
-    entry = torch.zeros(lattice.size, dtype=torch.int32)
-    entry[table.numbers] = torch.arange(len(table.numbers), dtype=torch.int32)
+    entry = table.entry()
     mean = torch.zeros(len(plan.knots), len(task.asymmetry), len(task.extinction), dtype=torch.float64)
     for bags in gather_bags(lattice, view.origin, view.direction, part):
         columns = table.source[bags.extinction].mean(1).flatten(1)
@@ -393,7 +392,7 @@ def _describe(
         points=0 if table is None else len(table.numbers),
         spacing=0.0 if table is None else float((table.lattice.spacing / grid.voxel_size).max()),
         paths=0 if table is None else int(table.paths.sum()),
-        carried_points=0 if carried is None else len(carried.lattice.numbers),
+        carried_points=0 if carried is None else carried.points,
         error=error,
         stop_reason=reason.value,
         seconds=clock.seconds,

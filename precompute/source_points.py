@@ -130,6 +130,12 @@ class SourceTable:
                 on_progress(done / total)
         self.paths = self.paths + points.paths
 
+    def entry(self) -> Tensor:
+        """Number of each lattice point among the points `(lattice point,)` int32; zero for those that are none."""
+        entry = torch.zeros(self.lattice.size, dtype=torch.int32)
+        entry[self.numbers] = torch.arange(len(self.numbers), dtype=torch.int32)
+        return entry
+
     @property
     def effective_share(self) -> Tensor:
         """Effective sample size over number of paths per node `(knot, asymmetry, extinction)`, averaged over passes."""

@@ -15,23 +15,20 @@ from precompute.carried_orders import (
     carried_asymmetries,
     carry_orders,
     last_traced_orders,
-    resolving_lattice,
+    resolving_lattices,
 )
 from precompute.drawn_flights import draw_flights
 from precompute.light_lattice import LightLattice, light_lattice_over
 from precompute.order_plan import OrderPlan, place_knots, plan_orders
 from precompute.path_sampler import EVERY_ORDER
-from precompute.view import View, view_of
-from render.camera import OrthographicCamera
+from precompute.view import view_of
 from render.density_grid import DensityGrid
 from render.fused import fused_loops_wanted, torch_loops_only
 from render.path_tracer import ReferenceImage, trace_reference
-from render.procedural_cloud import build_cumulus
 from render.spherical_harmonics import degrees_of_harmonics, evaluate_harmonics
-from tests.support.carried import plan_every_order, render_carried
-from tests.support.volumes import noise_box, towards, uniform_box, view_north
+from tests.support.carried import SUN, both_halves, cloud_view, plan_every_order, render_carried
+from tests.support.volumes import noise_box, uniform_box, view_north
 
-SUN = towards(140.0, 35.0)
 ASYMMETRY, DEGREE = torch.tensor([-0.3, 0.0, 0.5]), 3
 EXTINCTION = torch.tensor([0.4, 1.0])
 COARSEST = 1.0 / 32.0
@@ -47,7 +44,7 @@ def carry(
 ) -> CarriedOrders:
     lattice = light_lattice_over(grid, spacing, 3000)
     view = view_of(grid, view_north(4, 4, 6.0), SUN)
-    return carry_orders(view, lattice, asymmetry, extinction, plan or plan_orders(18), DEGREE, 0.5, seed)
+    return carry_orders(view, (lattice, lattice), asymmetry, extinction, plan or plan_orders(18), DEGREE, 0.5, seed)
 
 
 @pytest.mark.parametrize(
@@ -76,15 +73,15 @@ def test_last_traced_orders_rise_with_the_lobe_and_are_knots() -> None:
 def test_a_lattice_that_does_not_resolve_free_paths_is_none() -> None:
     grid = noise_box(12)
     effort = CarryingEffort(DEGREE, 3000, COARSEST, 3.5)
-    assert resolving_lattice(grid, 1.0, effort) is not None
-    assert resolving_lattice(grid, 1.0, replace(effort, points=20)) is None
-    thin = resolving_lattice(grid, 0.1, replace(effort, points=300))
+    assert resolving_lattices(grid, 1.0, effort) is not None
+    assert resolving_lattices(grid, 1.0, replace(effort, points=20)) is None
+    thin = resolving_lattices(grid, 0.1, replace(effort, points=300))
     assert thin is not None
-    assert len(thin.numbers) <= 330
-    cell_depth = 0.1 * grid.maximum * float(thin.lattice.spacing.max())
+    assert all(len(lattice.numbers) <= 330 for lattice in thin)
+    cell_depth = 0.1 * grid.maximum * float(thin[0].lattice.spacing.max())
     assert cell_depth <= 3.5
-    assert resolving_lattice(grid, 3.6, replace(effort, points=10_000)) is None
-    assert resolving_lattice(grid, 3.6, replace(effort, points=10_000, deepest_cell=10.0)) is not None
+    assert resolving_lattices(grid, 3.6, replace(effort, points=10_000)) is None
+    assert resolving_lattices(grid, 3.6, replace(effort, points=10_000, deepest_cell=10.0)) is not None
 
 
 def test_eight_asymmetries_are_carried_those_of_narrow_lobes_first() -> None:
@@ -101,7 +98,8 @@ def test_high_orders_need_no_high_harmonics(monkeypatch: pytest.MonkeyPatch) -> 
     lattice, view = light_lattice_over(grid, 1.0, 3000), view_of(grid, view_north(4, 4, 6.0), SUN)
 
     def all_orders() -> torch.Tensor:
-        return carry_orders(view, lattice, asymmetry, EXTINCTION, plan_orders(34), 5, 0.5, 0).source.sum(3)
+        carried = carry_orders(view, (lattice, lattice), asymmetry, EXTINCTION, plan_orders(34), 5, 0.5, 0)
+        return both_halves(carried).sum(3)
 
     some = all_orders()
     monkeypatch.setattr(carried_orders, "HIGH_ORDER", 99)
@@ -113,9 +111,9 @@ def test_high_orders_need_no_high_harmonics(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_asymmetries_between_those_carried_are_interpolated(monkeypatch: pytest.MonkeyPatch) -> None:
     asymmetry = torch.linspace(0.0, 0.9, 11)
-    some = carry(noise_box(), asymmetry=asymmetry).source
+    some = both_halves(carry(noise_box(), asymmetry=asymmetry))
     monkeypatch.setattr(carried_orders, "CARRIED_ASYMMETRIES", 11)
-    all_ = carry(noise_box(), asymmetry=asymmetry).source
+    all_ = both_halves(carry(noise_box(), asymmetry=asymmetry))
     power = all_.square().mean((0, 1, 2)).sqrt()
     error = (some - all_).square().mean((0, 1, 2)).sqrt() / power.clamp(min=1e-30)
     assert float(error.max()) < 0.01
@@ -126,12 +124,12 @@ def test_asymmetries_between_those_carried_are_interpolated(monkeypatch: pytest.
 @pytest.mark.skipif(not fused_loops_wanted(), reason="the fused loops are turned off")
 @pytest.mark.parametrize("grid", [noise_box(), noise_box(9, sparse=0.8), uniform_box(voxels=(4, 1, 6))])
 def test_fused_and_torch_carry_the_same(grid: DensityGrid) -> None:
-    fused = carry(grid).source
+    fused = both_halves(carry(grid))
     with torch_loops_only():
-        plain = carry(grid).source
+        plain = both_halves(carry(grid))
     largest = plain.amax((2, 3), keepdim=True)
     assert float(((fused - plain).abs() / largest).max()) < 2e-4
-    other = carry(grid, extinction=1.01 * EXTINCTION).source
+    other = both_halves(carry(grid, extinction=1.01 * EXTINCTION))
     assert float(((other - plain).abs() / largest).max()) > 2e-3
 
 
@@ -140,7 +138,7 @@ def test_threads_are_no_part_of_the_result() -> None:
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
-            found.append(carry(noise_box()).source)
+            found.append(both_halves(carry(noise_box())))
     finally:
         torch.set_num_threads(before)
     torch.testing.assert_close(found[0], found[1], rtol=1e-5, atol=1e-9)
@@ -149,13 +147,13 @@ def test_threads_are_no_part_of_the_result() -> None:
 
 def test_halves_and_seeds_differ_by_noise_alone() -> None:
     """Both halves have random numbers of their own: points differ by 13 to 40 per cent, means over them by a few."""
-    first, other = (carry(noise_box(), plan=plan_orders(10), seed=seed).source.sum(3) for seed in (0, 1))
+    first, other = (both_halves(carry(noise_box(), plan=plan_orders(10), seed=seed)).sum(3) for seed in (0, 1))
     for one, two in ((first[:, 0], first[:, 1]), (first[:, 0], other[:, 0])):
         spread = (one - two).square().mean(1).sqrt() / one.mean(1)
         assert (spread > 0.05).all()
         assert (spread < 0.5).all()
         torch.testing.assert_close(one.mean(1), two.mean(1), rtol=0.08, atol=0.0)
-    assert torch.equal(first, carry(noise_box(), plan=plan_orders(10), seed=0).source.sum(3))
+    assert torch.equal(first, both_halves(carry(noise_box(), plan=plan_orders(10), seed=0)).sum(3))
 
 
 def test_shapes_and_progress() -> None:
@@ -163,29 +161,29 @@ def test_shapes_and_progress() -> None:
     lattice = light_lattice_over(noise_box(), 1.0, 3000)
     view = view_of(noise_box(), view_north(4, 4, 6.0), SUN)
     plan = plan_orders(10)
-    carried = carry_orders(view, lattice, ASYMMETRY, EXTINCTION, plan, DEGREE, 0.5, 0, told.append)
-    assert carried.source.shape == (2, 2, len(lattice.numbers), len(plan.knots), 3)
+    carried = carry_orders(view, (lattice, lattice), ASYMMETRY, EXTINCTION, plan, DEGREE, 0.5, 0, told.append)
+    assert both_halves(carried).shape == (2, 2, len(lattice.numbers), len(plan.knots), 3)
     assert carried.at(1, torch.zeros(7, 3)).shape == (7, 2, len(plan.knots), 3)
     assert told == pytest.approx([0.075, 0.15, 0.225, 0.3, 0.475, 0.65, 0.825, 1.0])
     at_points = carried.at(1, lattice.positions).movedim(1, 0)
-    torch.testing.assert_close(at_points, carried.source[1], rtol=1e-4, atol=1e-7)
-    assert not torch.allclose(at_points, carried.source[0], rtol=1e-2)
+    torch.testing.assert_close(at_points, both_halves(carried)[1], rtol=1e-4, atol=1e-7)
+    assert not torch.allclose(at_points, both_halves(carried)[0], rtol=1e-2)
 
 
 def test_traced_orders_are_left_out() -> None:
     """With an image for every order, those up to the last that is traced are black, and the next is not."""
     asymmetry = torch.tensor([-0.8, 0.0, 0.5, 0.85])
-    source = carry(noise_box(), asymmetry, EXTINCTION[1:], plan_every_order(14)).source[0, 0].mean(0)
+    source = both_halves(carry(noise_box(), asymmetry, EXTINCTION[1:], plan_every_order(14)))[0, 0].mean(0)
     for column, last in enumerate(last_traced_orders(asymmetry, DEGREE).tolist()):
         lit = source[:, column] > 0.0
         assert lit.tolist() == [order > last for order in range(2, 15)]
 
 
 def test_knots_hold_the_shares_of_their_orders() -> None:
-    every = carry(noise_box(), plan=plan_every_order(18)).source
+    every = both_halves(carry(noise_box(), plan=plan_every_order(18)))
     plan = plan_orders(18)
     shared = torch.einsum("shpoa,ok->shpka", every.double(), plan.shares).float()
-    found = carry(noise_box(), plan=plan).source
+    found = both_halves(carry(noise_box(), plan=plan))
     torch.testing.assert_close(found, shared, rtol=1e-4, atol=1e-6)
     assert not torch.allclose(found, shared.roll(1, 3), rtol=1e-1)
 
@@ -250,7 +248,7 @@ def test_deep_inside_each_harmonic_is_damped_by_its_moment(asymmetry: float) -> 
 
 def test_no_order_is_brighter_than_the_one_before_at_its_brightest() -> None:
     """Each value of isotropic light is a mean of the order before, so neither its largest value nor, in a thick box, its sum rises."""
-    source = carry(CUBE, torch.zeros(1), torch.tensor([4.0]), plan_every_order(30)).source[0, ..., 0].mean(0)
+    source = both_halves(carry(CUBE, torch.zeros(1), torch.tensor([4.0]), plan_every_order(30)))[0, ..., 0].mean(0)
     orders = source[:, 3:]
     largest, total = orders.amax(0), orders.mean(0).double()
     assert (largest[1:] <= 1.005 * largest[:-1]).all()
@@ -267,7 +265,7 @@ def test_no_order_is_brighter_than_the_one_before_at_its_brightest() -> None:
 @pytest.mark.parametrize("depth", [1e-4, 10.0, 1000.0, 1e5])
 def test_any_depth_stays_finite_and_within_bounds(depth: float) -> None:
     grid, lobes = noise_box(), torch.tensor([-0.95, 0.0, 0.9])
-    source = carry(grid, lobes, torch.tensor([depth / 6.0]), plan_orders(258)).source
+    source = both_halves(carry(grid, lobes, torch.tensor([depth / 6.0]), plan_orders(258)))
     assert torch.isfinite(source).all()
     # No order of isotropic light is brighter than the sun's, 1 / (4 pi) where the sun shines fully; half as much again for sharpening.
     assert float(source[..., 1].abs().max()) < 1.5 / (4.0 * math.pi) * 254.0
@@ -283,10 +281,10 @@ def test_orders_without_light_have_no_tail(depth: float, monkeypatch: pytest.Mon
     """In a thin box the orders behind a lobe are noise of either sign, whose roots are no numbers and whose ratios mean nothing."""
     cases = [(seed, lobe) for seed in range(2) for lobe in torch.tensor([-0.95, -0.6, 0.0, 0.9])]
     thin = torch.tensor([depth / 4.0])
-    found = [carry(noise_box(4), lobe[None], thin, plan_orders(66), seed).source for seed, lobe in cases]
+    found = [both_halves(carry(noise_box(4), lobe[None], thin, plan_orders(66), seed)) for seed, lobe in cases]
     monkeypatch.setattr(carried_orders._Carrier, "_extend", staticmethod(without_tail))
     for (seed, lobe), source in zip(cases, found, strict=True):
-        cut = carry(noise_box(4), lobe[None], thin, plan_orders(66), seed).source
+        cut = both_halves(carry(noise_box(4), lobe[None], thin, plan_orders(66), seed))
         # A tail at the slowest decay that is allowed would hold the last order tens of times.
         assert torch.isfinite(source).all()
         assert float((source - cut).abs().max()) <= float(cut.abs().max())
@@ -301,8 +299,8 @@ def test_no_pattern_of_the_lattice_grows_behind_a_narrow_lobe(monkeypatch: pytes
 
     def decay() -> float:
         """Ratio of the last orders to those twelve before."""
-        carried = carry_orders(view, lattice, torch.tensor([0.93]), extinction, plan, DEGREE, 0.5, 0)
-        of_order = carried.source[0, ..., 0].square().mean((0, 1)).sqrt()
+        carried = carry_orders(view, (lattice, lattice), torch.tensor([0.93]), extinction, plan, DEGREE, 0.5, 0)
+        of_order = both_halves(carried)[0, ..., 0].square().mean((0, 1)).sqrt()
         return float((of_order[-1] / of_order[-13]) ** (1.0 / 12.0))
 
     steady = decay()
@@ -314,15 +312,6 @@ def test_no_pattern_of_the_lattice_grows_behind_a_narrow_lobe(monkeypatch: pytes
 # Against the reference path tracer.
 
 CLOUD_ASYMMETRY = 0.3
-
-
-@cache
-def cloud_view() -> View:
-    grid = build_cumulus(24, seed=3)
-    centre, radius = grid.centre, grid.radius
-    eye = (float(centre[0]), float(centre[1]) - 4.0 * radius, float(centre[2]))
-    target = (float(centre[0]), float(centre[1]), float(centre[2]))
-    return view_of(grid, OrthographicCamera(eye, target, 1.2 * radius, 8, 8), SUN)
 
 
 @cache
@@ -339,10 +328,10 @@ def relative_errors() -> tuple[float, float]:
     exact = reference(float(extinction)).orders[4:].sum(0)[view.pixel]
     found = []
     for seed in range(4):
-        lattice = resolving_lattice(view.grid, float(extinction), CarryingEffort(DEGREE, 3000, COARSEST, 3.5))
-        assert lattice is not None
+        lattices = resolving_lattices(view.grid, float(extinction), CarryingEffort(DEGREE, 3000, COARSEST, 3.5))
+        assert lattices is not None
         asymmetry = torch.tensor([CLOUD_ASYMMETRY])
-        carried = carry_orders(view, lattice, asymmetry, extinction, plan_orders(18), DEGREE, 0.5, seed)
+        carried = carry_orders(view, lattices, asymmetry, extinction, plan_orders(18), DEGREE, 0.5, seed)
         found.append(render_carried(carried, view, extinction, 0)[..., 0].mean(0))
     image = torch.stack(found).mean(0)
     return float(image.mean() / exact.mean() - 1.0), float((image - exact).square().mean().sqrt() / exact.mean())
@@ -378,11 +367,11 @@ def test_a_wrong_damping_gives_another_cloud(factor: int, monkeypatch: pytest.Mo
 @pytest.mark.parametrize("extinction", [1.0, 2.0])
 def test_the_orders_beyond_the_last_carried_follow_its_law(extinction: float, monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = (noise_box(8), ASYMMETRY, torch.tensor([extinction]), plan_orders(66))
-    whole = carry(*arguments).source.sum(3).mean((0, 1, 2))
+    whole = both_halves(carry(*arguments)).sum(3).mean((0, 1, 2))
     monkeypatch.setattr(carried_orders, "LAST_CARRIED", 24)
-    extended = carry(*arguments).source.sum(3).mean((0, 1, 2))
+    extended = both_halves(carry(*arguments)).sum(3).mean((0, 1, 2))
     monkeypatch.setattr(carried_orders._Carrier, "_extend", staticmethod(without_tail))
-    cut = carry(*arguments).source.sum(3).mean((0, 1, 2))
+    cut = both_halves(carry(*arguments)).sum(3).mean((0, 1, 2))
     assert (cut < whole).all()
     assert ((extended - whole).abs() < 0.2 * (whole - cut)).all()
 
@@ -390,9 +379,9 @@ def test_the_orders_beyond_the_last_carried_follow_its_law(extinction: float, mo
 def test_faint_orders_end_early_without_a_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     thin = torch.tensor([0.05])
     arguments = (noise_box(), ASYMMETRY, thin, plan_orders(66))
-    early = carry(*arguments).source
+    early = both_halves(carry(*arguments))
     monkeypatch.setattr(carried_orders, "FAINT", 0.0)
-    whole = carry(*arguments).source
+    whole = both_halves(carry(*arguments))
     total = whole.sum(3).mean((0, 1, 2))
     torch.testing.assert_close(early.sum(3).mean((0, 1, 2)), total, rtol=0.02, atol=0.0)
     assert not torch.equal(early, whole)

@@ -45,11 +45,12 @@ def missing_corners(grid: DensityGrid, lattice: LightLattice, numbers: torch.Ten
     return int((~torch.isin(corners.long(), numbers)).sum())
 
 
+@pytest.mark.parametrize("shift", [-0.25, 0.0, 0.25])
 @pytest.mark.parametrize("spacing", [1.0, 1.7, 3.0, 50.0])
 @pytest.mark.parametrize("name", GRIDS)
-def test_all_corners_around_density_are_points(name: str, spacing: float) -> None:
+def test_all_corners_around_density_are_points(name: str, spacing: float, shift: float) -> None:
     grid = GRIDS[name]()
-    lattice = light_lattice_over(grid, spacing, 10_000)
+    lattice = light_lattice_over(grid, spacing, 10_000, shift)
     assert len(places_in_cloud(grid))
     assert missing_corners(grid, lattice, lattice.numbers) == 0
     assert missing_corners(grid, lattice, lattice.numbers[1:]) > 0
