@@ -8,11 +8,11 @@ from precompute.order_plan import plan_orders
 from tests.support.carried import cloud_view
 from tests.support.volumes import noise_box
 
-DEGREE = 3
+EFFORT = CarryingEffort(3, 2, 3000, 1.0 / 32.0, 3.5)
 
 
 def test_points_of_one_half_lie_in_the_middle_of_the_other_ones_cells() -> None:
-    lattices = resolving_lattices(noise_box(12), 1.0, CarryingEffort(DEGREE, 3000, 1.0 / 32.0, 3.5))
+    lattices = resolving_lattices(noise_box(12), 1.0, EFFORT)
     assert lattices is not None
     first, second = (one.lattice for one in lattices)
     torch.testing.assert_close(second.corner - first.corner, 0.5 * first.spacing)
@@ -29,7 +29,7 @@ def test_halves_on_staggered_lattices_miss_less_of_a_cloud_and_tell_more_of_it()
 
     def carry_on(lattices: tuple[LightLattice, LightLattice]) -> torch.Tensor:
         carried = [
-            carry_orders(view, lattices, torch.zeros(1), extinction, plan_orders(18), DEGREE, 0.5, seed).at(0, inside)
+            carry_orders(view, lattices, torch.zeros(1), extinction, plan_orders(18), EFFORT, 0.5, seed).at(0, inside)
             for seed in range(4)
         ]
         return torch.stack(carried).mean(0).sum((2, 3))

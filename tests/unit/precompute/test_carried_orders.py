@@ -32,6 +32,7 @@ from tests.support.volumes import noise_box, uniform_box, view_north
 ASYMMETRY, DEGREE = torch.tensor([-0.3, 0.0, 0.5]), 3
 EXTINCTION = torch.tensor([0.4, 1.0])
 COARSEST = 1.0 / 32.0
+EFFORT = CarryingEffort(DEGREE, 2, 3000, COARSEST, 3.5)
 
 
 def carry(
@@ -44,7 +45,7 @@ def carry(
 ) -> CarriedOrders:
     lattice = light_lattice_over(grid, spacing, 3000)
     view = view_of(grid, view_north(4, 4, 6.0), SUN)
-    return carry_orders(view, (lattice, lattice), asymmetry, extinction, plan or plan_orders(18), DEGREE, 0.5, seed)
+    return carry_orders(view, (lattice, lattice), asymmetry, extinction, plan or plan_orders(18), EFFORT, 0.5, seed)
 
 
 @pytest.mark.parametrize(
@@ -72,16 +73,15 @@ def test_last_traced_orders_rise_with_the_lobe_and_are_knots() -> None:
 
 def test_a_lattice_that_does_not_resolve_free_paths_is_none() -> None:
     grid = noise_box(12)
-    effort = CarryingEffort(DEGREE, 3000, COARSEST, 3.5)
-    assert resolving_lattices(grid, 1.0, effort) is not None
-    assert resolving_lattices(grid, 1.0, replace(effort, points=20)) is None
-    thin = resolving_lattices(grid, 0.1, replace(effort, points=300))
+    assert resolving_lattices(grid, 1.0, EFFORT) is not None
+    assert resolving_lattices(grid, 1.0, replace(EFFORT, points=20)) is None
+    thin = resolving_lattices(grid, 0.1, replace(EFFORT, points=300))
     assert thin is not None
     assert all(len(lattice.numbers) <= 330 for lattice in thin)
     cell_depth = 0.1 * grid.maximum * float(thin[0].lattice.spacing.max())
     assert cell_depth <= 3.5
-    assert resolving_lattices(grid, 3.6, replace(effort, points=10_000)) is None
-    assert resolving_lattices(grid, 3.6, replace(effort, points=10_000, deepest_cell=10.0)) is not None
+    assert resolving_lattices(grid, 3.6, replace(EFFORT, points=10_000)) is None
+    assert resolving_lattices(grid, 3.6, replace(EFFORT, points=10_000, deepest_cell=10.0)) is not None
 
 
 def test_eight_asymmetries_are_carried_those_of_narrow_lobes_first() -> None:
@@ -98,7 +98,9 @@ def test_high_orders_need_no_high_harmonics(monkeypatch: pytest.MonkeyPatch) -> 
     lattice, view = light_lattice_over(grid, 1.0, 3000), view_of(grid, view_north(4, 4, 6.0), SUN)
 
     def all_orders() -> torch.Tensor:
-        carried = carry_orders(view, (lattice, lattice), asymmetry, EXTINCTION, plan_orders(34), 5, 0.5, 0)
+        carried = carry_orders(
+            view, (lattice, lattice), asymmetry, EXTINCTION, plan_orders(34), replace(EFFORT, degree=5), 0.5, 0
+        )
         return both_halves(carried).sum(3)
 
     some = all_orders()
@@ -161,7 +163,7 @@ def test_shapes_and_progress() -> None:
     lattice = light_lattice_over(noise_box(), 1.0, 3000)
     view = view_of(noise_box(), view_north(4, 4, 6.0), SUN)
     plan = plan_orders(10)
-    carried = carry_orders(view, (lattice, lattice), ASYMMETRY, EXTINCTION, plan, DEGREE, 0.5, 0, told.append)
+    carried = carry_orders(view, (lattice, lattice), ASYMMETRY, EXTINCTION, plan, EFFORT, 0.5, 0, told.append)
     assert both_halves(carried).shape == (2, 2, len(lattice.numbers), len(plan.knots), 3)
     assert carried.at(1, torch.zeros(7, 3)).shape == (7, 2, len(plan.knots), 3)
     assert told == pytest.approx([0.075, 0.15, 0.225, 0.3, 0.475, 0.65, 0.825, 1.0])
@@ -299,7 +301,7 @@ def test_no_pattern_of_the_lattice_grows_behind_a_narrow_lobe(monkeypatch: pytes
 
     def decay() -> float:
         """Ratio of the last orders to those twelve before."""
-        carried = carry_orders(view, (lattice, lattice), torch.tensor([0.93]), extinction, plan, DEGREE, 0.5, 0)
+        carried = carry_orders(view, (lattice, lattice), torch.tensor([0.93]), extinction, plan, EFFORT, 0.5, 0)
         of_order = both_halves(carried)[0, ..., 0].square().mean((0, 1)).sqrt()
         return float((of_order[-1] / of_order[-13]) ** (1.0 / 12.0))
 
@@ -328,10 +330,10 @@ def relative_errors() -> tuple[float, float]:
     exact = reference(float(extinction)).orders[4:].sum(0)[view.pixel]
     found = []
     for seed in range(4):
-        lattices = resolving_lattices(view.grid, float(extinction), CarryingEffort(DEGREE, 3000, COARSEST, 3.5))
+        lattices = resolving_lattices(view.grid, float(extinction), EFFORT)
         assert lattices is not None
         asymmetry = torch.tensor([CLOUD_ASYMMETRY])
-        carried = carry_orders(view, lattices, asymmetry, extinction, plan_orders(18), DEGREE, 0.5, seed)
+        carried = carry_orders(view, lattices, asymmetry, extinction, plan_orders(18), EFFORT, 0.5, seed)
         found.append(render_carried(carried, view, extinction, 0)[..., 0].mean(0))
     image = torch.stack(found).mean(0)
     return float(image.mean() / exact.mean() - 1.0), float((image - exact).square().mean().sqrt() / exact.mean())
