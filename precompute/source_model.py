@@ -30,6 +30,9 @@ DIRECTIONAL_SHARES = (0.3, 0.1)
 RIDGE = 1e-7
 """Added to the normal equations, relative to their diagonal: in thin clouds many features are nearly the same."""
 
+EMPTY = 1e-12
+"""Share of the largest square sum below which a feature is nothing but rounding: it may be zero everywhere, and still needs a ridge."""
+
 POINTS_PER_FEATURE = 30
 """Fewer points than this for each feature, and the model is only the mean."""
 
@@ -118,7 +121,8 @@ class SourceModel:
         # The normal equations square the condition number: in float32 half of the features would be lost.
         self._features, self._paths = features.double(), paths[:, None]
         normal = (self._features * self._paths).T @ self._features
-        normal.diagonal().add_(RIDGE * normal.diagonal())
+        diagonal = normal.diagonal()
+        diagonal.add_(RIDGE * diagonal.clamp(min=EMPTY * float(diagonal.max())))
         self._factor = torch.linalg.cholesky_ex(normal).L
 
     def expect(self, source: Tensor) -> Tensor:

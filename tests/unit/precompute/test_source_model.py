@@ -83,3 +83,9 @@ def test_one_point_and_no_point() -> None:
         assert features.shape == (count, 1)
     assert torch.isfinite(found.place).all()
     assert source_model.SHARES[0] == 1.0
+
+
+def test_a_feature_that_is_zero_everywhere_does_no_harm() -> None:
+    features = torch.stack([torch.ones(50), torch.zeros(50), torch.linspace(-1.0, 1.0, 50)], dim=1)
+    source = (2.0 + 3.0 * features[:, 2])[:, None]
+    torch.testing.assert_close(SourceModel(features, torch.full((50,), 4)).expect(source), source, rtol=1e-5, atol=1e-5)
