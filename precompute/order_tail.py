@@ -14,7 +14,7 @@ from torch import Tensor
 from precompute.order_plan import LARGEST_RATIO
 
 STRIDE, LAGS = 4, 6
-"""Of the recurrence. Neighbouring orders are too alike to be told apart, and two sets of directions by turns need an even stride."""
+"""Of the recurrence. Neighbouring orders are too alike to be told apart, and four sets of directions by turns need a multiple of four."""
 
 FIT_STEP = 2
 """Between the orders that it is fitted to, even likewise."""
