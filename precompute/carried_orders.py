@@ -66,11 +66,14 @@ FEATURE_STRIDE = 2
 ROUND = 0.015
 """Share |g|^(k (degree + 1)) of what the harmonics leave out of order k, from which on that order is carried."""
 
-LAST_CARRIED = 58
+LAST_CARRIED = 50
 """Order that light is carried to; those beyond follow from the ones before, see `order_tail`."""
 
 FAINT = 1e-4
 """Share of the light so far that an order adds below which none is carried further."""
+
+AT_ONCE = 25
+"""Directions that light is carried along at once: matrix products of fewer wait for memory, more would take much of it."""
 
 MEAN_SPREAD = torch.tensor([1.0 / 12.0])
 """Half of w (1 - w) on average over a cell, for places that are anywhere."""
@@ -208,9 +211,9 @@ def carry_orders(
 
     def carry(piece: int) -> tuple[Tensor, Tensor]:
         node, half = divmod(piece, 2)
-        of_sets = [flights[half * count + turn][node] for turn in range(count)]
+        turns = [_Turn(sets[half][turn], flights[half * count + turn][node]) for turn in range(count)]
         lattice = lattices[half]
-        carrier = _Carrier(view, lattice, float(extinction[node]), step, sets[half], of_sets)
+        carrier = _Carrier(view, lattice, float(extinction[node]), step, turns)
         source, low = carrier.carry(asymmetry, plan)
         return lattice.sharpen(source.flatten(1), MEAN_SPREAD).view_as(source), lattice.sharpen(low, MEAN_SPREAD)
 
@@ -221,24 +224,30 @@ def carry_orders(
     return CarriedOrders(lattices, degree, source, features)
 
 
+@dataclass(frozen=True, eq=False)
+class _Turn:
+    """Directions, and flights along them from every point, that serve one order after the other."""
+
+    directions: DirectionSet
+    flights: DrawnFlights
+
+    def halves(self, degree: int) -> "tuple[_Turn, _Turn]":
+        """Two turns with half of the directions each, and harmonics up to a smaller degree."""
+        first, second = self.directions.halves(degree)
+        middle = len(first.direction)
+        return _Turn(first, self.flights.part(slice(None, middle))), _Turn(second, self.flights.part(slice(middle, None)))
+
+
 class _Carrier:
     """Carries orders at one extinction."""
 
-    def __init__(
-        self,
-        view: View,
-        lattice: LightLattice,
-        extinction: float,
-        step: float,
-        sets: list[DirectionSet],
-        flights: list[DrawnFlights],
-    ) -> None:
+    def __init__(self, view: View, lattice: LightLattice, extinction: float, step: float, turns: list[_Turn]) -> None:
         self._view, self._lattice, self._extinction, self._step = view, lattice, extinction, step
-        self._sets, self._flights = sets, flights
+        self._turns = turns
 
     def carry(self, asymmetry: Tensor, plan: OrderPlan) -> tuple[Tensor, Tensor]:
         """J of the orders beyond those traced `(point, knot, asymmetry)`, and features from those below, see `CarriedOrders`."""
-        degree, view, position = self._sets[0].degree, self._view, self._lattice.positions
+        degree, view, position = self._turns[0].directions.degree, self._view, self._lattice.positions
         traced = last_traced_orders(asymmetry, degree)
         carried = carried_asymmetries(asymmetry)
         between = cubic_weights(carried, asymmetry).T
@@ -247,16 +256,16 @@ class _Carrier:
         sun = evaluate_harmonics(view.sun.double(), degree).float()
         length = march_to_sun(view.grid, position, view.sun, torch.tensor(self._extinction), self._step)
         light = (sun[:, None] * damping)[:, None] * torch.exp(-self._extinction * length)[:, None]
-        space, towards_camera = _Space.like(light, self._sets[0].ring), torch.empty_like(light[0])
+        space, towards_camera = _Space.like(light), torch.empty_like(light[0])
         found = torch.zeros(len(plan.knots), len(position), len(asymmetry))
-        energy, low, sets, history = list[Tensor](), list[Tensor](), self._sets, list[Tensor]()
+        energy, low, turns, history = list[Tensor](), list[Tensor](), self._turns, list[Tensor]()
         last = min(plan.largest_order, LAST_CARRIED)
         for order in range(2, last + 1):
             if order == HIGH_ORDER + 1 and degree > HIGH_DEGREE:
                 kept = degrees_of_harmonics(degree, odd=True) <= HIGH_DEGREE
                 light, damping, towards, space = light[kept], damping[kept], towards[kept], space.part(kept)
-                sets = [one.up_to(HIGH_DEGREE) for one in sets]
-            self._scatter(light, damping, sets[order % len(sets)], self._flights[order % len(sets)], space)
+                turns = [half for turn in turns for half in turn.halves(HIGH_DEGREE)]
+            self._scatter(light, damping, turns[order % len(turns)], space)
             torch.mul(light[0], towards[0, :, None], out=towards_camera)
             for one, harmonic in zip(light[1:], towards[1:], strict=True):
                 towards_camera.addcmul_(one, harmonic[:, None])
@@ -299,10 +308,9 @@ class _Carrier:
             if bool(missing.any()):
                 found[:, :, members] += extrapolate_orders(history, missing) @ between[:, members]
 
-    def _scatter(
-        self, light: Tensor, damping: Tensor, directions: DirectionSet, flights: DrawnFlights, space: "_Space"
-    ) -> None:
+    def _scatter(self, light: Tensor, damping: Tensor, turn: _Turn, space: "_Space") -> None:
         """The next order of light `(harmonic, point, asymmetry)`, in its place."""
+        directions, flights = turn.directions, turn.flights
         fused = fused_loops_wanted(light)
         sharpen, gather = (_sharpen_fused, _gather_fused) if fused else (_sharpen, _gather)
         space.sharp.copy_(light)
@@ -311,25 +319,27 @@ class _Carrier:
             one = slice(number, number + 1)
             sharpen(self._lattice, light[one], flights.spread, space.sharp[one])
         light.zero_()
-        for first in range(0, len(directions.direction), directions.ring):
-            block = slice(first, first + directions.ring)
-            torch.mm(directions.harmonics[block], space.sharp.flatten(1), out=space.along.flatten(1))
-            gather(self._lattice, space.along, flights.part(block), space.brought)
-            light.flatten(1).addmm_(directions.projection[:, block], space.brought.flatten(1))
+        for first in range(0, len(directions.direction), AT_ONCE):
+            block = slice(first, first + AT_ONCE)
+            harmonics, projection = directions.harmonics[block], directions.projection[:, block]
+            along, brought = space.along[: len(harmonics)], space.brought[: len(harmonics)]
+            torch.mm(harmonics, space.sharp.flatten(1), out=along.flatten(1))
+            gather(self._lattice, along, flights.part(block), brought)
+            light.flatten(1).addmm_(projection, brought.flatten(1))
         light.mul_(damping[:, None])
 
 
 @dataclass(frozen=True, eq=False)
 class _Space:
-    """Memory for one order: sharpened light `(harmonic, point, asymmetry)`, light along a ring of directions, what flights bring of it."""
+    """Memory for one order: sharpened light `(harmonic, point, asymmetry)`, light along some directions, what flights bring of it."""
 
     sharp: Tensor
     along: Tensor
     brought: Tensor
 
     @classmethod
-    def like(cls, light: Tensor, directions: int) -> "_Space":
-        along = light.new_empty(directions, *light.shape[1:])
+    def like(cls, light: Tensor) -> "_Space":
+        along = light.new_empty(AT_ONCE, *light.shape[1:])
         return cls(torch.empty_like(light), along, torch.empty_like(along))
 
     def part(self, harmonics: Tensor) -> "_Space":

@@ -1,7 +1,7 @@
 """Directions of the sphere with weights that integrate harmonics exactly, turned at random."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -14,24 +14,38 @@ from render.spherical_harmonics import degrees_of_harmonics, evaluate_harmonics
 class DirectionSet:
     """Directions of a product rule: Gauss-Legendre in the cosine of the polar angle, evenly in azimuth.
 
+    Each ring of one polar angle is cut in two, every other direction first; the first halves of all rings come before the second ones, each
+    shifted in azimuth against the next, like the squares of one colour on a chess board.
+
     Args:
         direction: unit vectors `(direction, 3)`.
         harmonics: at them `(direction, harmonic)`, see `evaluate_harmonics`.
         projection: of values at the directions on the harmonics `(harmonic, direction)`; its product with `harmonics` is one.
         degree: largest of the harmonics.
-        ring: directions with one polar angle, which follow each other.
+        place: number of each one's ring, and of its azimuth in it `(direction, 2)`.
     """
 
     direction: Tensor
     harmonics: Tensor
     projection: Tensor
     degree: int
-    ring: int
+    place: Tensor
 
-    def up_to(self, degree: int) -> "DirectionSet":
-        """The same directions with the harmonics up to a smaller degree only."""
+    def halves(self, degree: int) -> tuple["DirectionSet", "DirectionSet"]:
+        """Every other direction, and the rest, with the harmonics up to a smaller degree and the least squares that give them back.
+
+        Harmonics whose degrees add up to no more than that of the whole set's are orthogonal over each half; those beyond by one, nearly so.
+        """
+        middle = len(self.direction) // 2
+        first, second = (self._part(rows, degree) for rows in (slice(None, middle), slice(middle, None)))
+        return first, second
+
+    def _part(self, rows: slice, degree: int) -> "DirectionSet":
         kept = degrees_of_harmonics(self.degree, odd=True) <= degree
-        return replace(self, harmonics=self.harmonics[:, kept], projection=self.projection[kept], degree=degree)
+        harmonics, weights = self.harmonics[rows, kept], self.projection[0, rows].double()
+        weighted = harmonics.double().T * weights
+        projection = torch.linalg.solve(weighted @ harmonics.double(), weighted).float()
+        return DirectionSet(self.direction[rows], harmonics, projection, degree, self.place[rows])
 
 
 def turned_directions(degree: int, uniform: Tensor) -> DirectionSet:
@@ -48,12 +62,13 @@ def turned_directions(degree: int, uniform: Tensor) -> DirectionSet:
     plain = torch.stack(
         [sine[:, None] * azimuth.cos(), sine[:, None] * azimuth.sin(), cosine[:, None].expand(-1, count)], dim=-1
     )
-    direction = plain.reshape(-1, 3) @ _rotation(uniform.double()).T
+    place = torch.cartesian_prod(torch.arange(degree + 1), torch.arange(count))
+    order = (place.sum(1) % 2).argsort(stable=True)
+    direction = plain.reshape(-1, 3)[order] @ _rotation(uniform.double()).T
     harmonics = evaluate_harmonics(direction, degree)
-    weights = (weight * (2.0 * math.pi / count)).repeat_interleave(count)
-    return DirectionSet(
-        direction.float(), harmonics.float(), (harmonics * weights[:, None]).T.float().contiguous(), degree, count
-    )
+    weights = (weight * (2.0 * math.pi / count))[place[order, 0]]
+    projection = (harmonics * weights[:, None]).T.float().contiguous()
+    return DirectionSet(direction.float(), harmonics.float(), projection, degree, place[order])
 
 
 def _rotation(uniform: Tensor) -> Tensor:

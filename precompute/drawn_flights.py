@@ -56,8 +56,9 @@ def draw_flights(
     shape = (len(extinction), len(directions.direction), len(shift))
     cell, fraction = torch.full(shape, -1, dtype=torch.int32), torch.zeros(shape, dtype=torch.int32)
     ends: list[list[Tensor]] = [[] for _ in extinction]
+    quantile = directions.place.double() @ torch.tensor(STEPS, dtype=torch.float64)
     for number, direction in enumerate(directions.direction):
-        moved = shift.double() + number // directions.ring * STEPS[0] + number % directions.ring * STEPS[1]
+        moved = shift.double() + float(quantile[number])
         depth = -torch.log1p(-(moved % 1.0).clamp(2.0**-30, 1.0 - 2.0**-30))
         rows, position, passed = torch.arange(len(shift)), lattice.positions, torch.zeros_like(depth)
         for node in range(len(extinction) - 1, -1, -1):

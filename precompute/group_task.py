@@ -32,11 +32,14 @@ THIN_DEPTH, FEWEST_STRATA = 2.0, 4
 THICK_DEPTH = 20.0
 """Largest optical depth from which on a group is thick."""
 
+THIN_POINTS = 0.6
+"""Share of the effort's source points that a group gets which is not thick: light varies little between them, and each has more paths."""
+
 CARRIED_SETS = 4
 """Of directions, which orders take turns with. Two leave light at g = 0.85 and depth 60 up to 13 per cent too bright by order 66; six cost
 more than they gain."""
 
-CARRIED_POINTS, CARRIED_DEGREE = (0.2, 0.4), (5, 3)
+CARRIED_POINTS, CARRIED_DEGREE = (0.23, 0.33), (5, 4)
 """Points of the lattice that light is carried on over source points, and degree of its harmonics, in a thin group and a thick one. A
 thick cloud, whose light is round, needs points that resolve its free paths; a thin one, where light is scattered forward and leaves,
 directions."""
@@ -78,6 +81,16 @@ class GroupTask:
     seed: int
 
     @property
+    def depth(self) -> float:
+        """Largest optical depth of a ray."""
+        return float(self.extinction[-1]) * self.view.largest_optical_length
+
+    @property
+    def thick(self) -> bool:
+        """Whether light is round, and points lie about as close as density varies."""
+        return self.depth >= THICK_DEPTH
+
+    @property
     def step(self) -> float:
         """Marching step [voxel]."""
         grid = self.view.grid
@@ -88,16 +101,18 @@ class GroupTask:
     @property
     def strata(self) -> int:
         """Positions along a ray."""
-        depth = float(self.extinction[-1]) * self.view.largest_optical_length
-        needed = math.ceil(self.effort.strata * min(1.0, math.sqrt(depth / THIN_DEPTH)))
+        needed = math.ceil(self.effort.strata * min(1.0, math.sqrt(self.depth / THIN_DEPTH)))
         return min(self.effort.strata, max(FEWEST_STRATA, needed))
 
     @property
     def sections(self) -> int:
         """Pieces of a ray between which single scattering is integrated."""
-        depth = float(self.extinction[-1]) * self.view.largest_optical_length
         wanted = 0.0 if self.effort.tolerance is None else SECTIONS_AT_ONE / self.effort.tolerance
-        return max(SECTIONS_PER_STRATUM * self.strata, math.ceil(wanted * min(1.0, math.sqrt(depth / THIN_DEPTH))))
+        return max(SECTIONS_PER_STRATUM * self.strata, math.ceil(wanted * min(1.0, math.sqrt(self.depth / THIN_DEPTH))))
+
+    def points(self, effort: Effort) -> int:
+        """Source points that an effort gives the group."""
+        return effort.points if self.thick else round(THIN_POINTS * effort.points)
 
     def nodes(self, last_order: Callable[[Tensor], Tensor] = every_order) -> TableNodes:
         """Nodes and anchors of the paths, and the last order that they trace at each asymmetry."""
@@ -126,8 +141,7 @@ class GroupTask:
         return self.effort.tolerance is not None and self.effort.tolerance > ROUGH_TOLERANCE
 
     def _carrying_effort(self, points: int) -> CarryingEffort:
-        thick = float(self.extinction[-1]) * self.view.largest_optical_length >= THICK_DEPTH
         if self._rough:
             return CarryingEffort(ROUGH_DEGREE, ROUGH_SETS, ROUGH_POINTS, ROUGH_COARSEST, ROUGH_CELL)
-        wanted = max(LEAST_CARRIED, round(CARRIED_POINTS[thick] * points))
-        return CarryingEffort(CARRIED_DEGREE[thick], CARRIED_SETS, wanted, COARSEST_CARRIED, DEEPEST_CELL)
+        wanted = max(LEAST_CARRIED, round(CARRIED_POINTS[self.thick] * points))
+        return CarryingEffort(CARRIED_DEGREE[self.thick], CARRIED_SETS, wanted, COARSEST_CARRIED, DEEPEST_CELL)

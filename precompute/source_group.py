@@ -107,9 +107,9 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
         report(1.0)
         return _single_only(task, single, pilot.complete(torch.empty(0), phase[:, None] * single), pilot, clock)
     plan, effort = plan_orders(pilot.plan.knots[pilot.enough - 1]), pilot.suited(task.effort)
-    lattice, importance = _place_points(view, strata, effort.points)
+    lattice, importance = _place_points(view, strata, task.points(effort))
     clock.lap("source points")
-    carried = task.carry(plan, effort.points, lambda share: report(0.1 + 0.1 * share))
+    carried = task.carry(plan, task.points(effort), lambda share: report(0.1 + 0.1 * share))
     clock.lap("carried orders")
     if carried is not None:
         _weigh_by_light(importance, lattice, carried)
@@ -121,7 +121,7 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     probe = ErrorProbe(view, lattice, entry, strata, once, task.asymmetry, plan, task.albedo, effort.tail)
     surroundings = measure_surroundings(view.grid, view.camera, view.sun, lattice.positions(table.numbers))
     clock.lap("source model")
-    smoother = _Smoother(table, carried, probe, surroundings, task.extinction)
+    smoother = _Smoother(table, carried, probe, surroundings, task)
     gather = partial(_gather, view, lattice, entry, strata, smoother)
     multiple, errors, reason = _trace_until_accurate(task, table, importance, smoother, gather, clock, report)
     report(1.0)
@@ -166,10 +166,10 @@ class _Smoother:
         carried: CarriedOrders | None,
         probe: ErrorProbe,
         surroundings: Surroundings,
-        extinction: Tensor,
+        task: GroupTask,
     ) -> None:
         self._table, self._carried, self._probe = table, carried, probe
-        self._surroundings, self._extinction = surroundings, extinction
+        self._surroundings, self._task = surroundings, task
 
     def at(self, nodes: Iterable[int]) -> Iterator[SmoothSource]:
         """The source at some of the extinctions."""
@@ -177,14 +177,15 @@ class _Smoother:
         neighbours = find_neighbours(table.lattice, table.numbers, table.paths)
         for node in nodes:
             source = of_paths = table.source[node]
-            features = self._surroundings.features(float(self._extinction[node]))
+            features = self._surroundings.features(float(self._task.extinction[node]))
             if self._carried is not None:
                 position = table.lattice.positions(table.numbers)
                 source = self._carried.at(node, position)
                 if features.shape[1] > 1:
                     features = torch.cat([features, self._carried.features_at(node, position)], dim=1)
                 source[:, :, : of_paths.shape[2]] += of_paths
-            yield self._probe.smooth(node, source, neighbours, SourceModel(features, table.paths))
+            smooth = self._probe.smooth(node, source, neighbours, SourceModel(features, table.paths))
+            yield replace(smooth, source=neighbours.sharpen(smooth.source)) if self._task.thick else smooth
             trim_heap()
 
 

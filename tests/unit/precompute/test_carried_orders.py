@@ -201,17 +201,18 @@ def scatter_once(light: torch.Tensor, asymmetry: float, depth: float) -> tuple[L
     view = view_of(CUBE, view_north(), SUN)
     count = len(lattice.numbers)
     keys = carried_orders.counter_keys(3, torch.arange(count))
-    turns = torch.rand(8, 3, generator=torch.Generator().manual_seed(2))
-    sets = [carried_orders.turned_directions(DEGREE, turn) for turn in turns]
+    uniform = torch.rand(8, 3, generator=torch.Generator().manual_seed(2))
+    sets = [carried_orders.turned_directions(DEGREE, one) for one in uniform]
     shifts = [carried_orders.counter_uniform(keys, turn) for turn in range(8)]
     s = torch.tensor([extinction])
     flights = [draw_flights(CUBE, lattice, one, s, shift, 0.5)[0] for one, shift in zip(sets, shifts, strict=True)]
-    carrier = carried_orders._Carrier(view, lattice, extinction, 0.5, sets, flights)
+    turns = [carried_orders._Turn(one, flight) for one, flight in zip(sets, flights, strict=True)]
+    carrier = carried_orders._Carrier(view, lattice, extinction, 0.5, turns)
     damping = torch.tensor([asymmetry]) ** degrees_of_harmonics(DEGREE, odd=True)[:, None]
     results = []
-    for turn in range(8):
+    for turn in turns:
         values = light[:, None, None].expand(-1, count, 1).clone()
-        carrier._scatter(values, damping, sets[turn], flights[turn], carried_orders._Space.like(values, sets[0].ring))
+        carrier._scatter(values, damping, turn, carried_orders._Space.like(values))
         results.append(values[..., 0])
     return lattice, torch.stack(results).mean(0)
 

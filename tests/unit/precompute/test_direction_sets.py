@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from precompute.direction_sets import DirectionSet, turned_directions
-from render.spherical_harmonics import evaluate_harmonics
+from render.spherical_harmonics import degrees_of_harmonics, evaluate_harmonics
 
 TURNS = [(0.0, 0.0, 0.0), (0.3, 0.7, 0.1), (1.0, 0.25, 0.9)]
 
@@ -78,10 +78,31 @@ def test_turns_are_even_over_the_sphere() -> None:
     assert float(half.mean(0).abs().max()) > 0.1
 
 
-def test_harmonics_up_to_a_smaller_degree_are_those_of_that_degree() -> None:
-    found = directions(5).up_to(3)
-    assert (found.degree, found.ring, len(found.direction)) == (3, 12, 72)
-    torch.testing.assert_close(
-        found.harmonics, evaluate_harmonics(found.direction.double(), 3).float(), atol=1e-5, rtol=0.0
-    )
-    torch.testing.assert_close(found.projection @ found.harmonics, torch.eye(16), atol=1e-5, rtol=0.0)
+@pytest.mark.parametrize("degree", [4, 5])
+def test_halves_give_harmonics_of_a_smaller_degree_back_and_share_no_direction(degree: int) -> None:
+    whole = directions(degree)
+    halves = whole.halves(3)
+    torch.testing.assert_close(torch.cat([half.direction for half in halves]), whole.direction)
+    for half in halves:
+        assert (half.degree, len(half.direction)) == (3, (degree + 1) ** 2)
+        own = evaluate_harmonics(half.direction.double(), 3).float()
+        torch.testing.assert_close(half.harmonics, own, atol=1e-5, rtol=0.0)
+        torch.testing.assert_close(half.projection @ half.harmonics, torch.eye(16), atol=1e-5, rtol=0.0)
+
+
+def test_a_half_is_a_rule_of_one_degree_less() -> None:
+    """Halves of a set of degree five: products of two harmonics of degree two are integrated, not those of degree five."""
+    whole = directions(5)
+    weights = 2.0 * whole.projection[0, :36].double() * math.sqrt(4.0 * math.pi)
+    for half in whole.halves(5):
+        for degree, right in ((2, True), (5, False)):
+            harmonics = half.harmonics[:, degrees_of_harmonics(5, odd=True) <= degree].double()
+            gram = harmonics.T @ (weights[:, None] * harmonics)
+            assert (float((gram - torch.eye(len(gram))).abs().max()) < 1e-6) is right
+
+
+def test_each_half_sees_every_side_of_the_sphere() -> None:
+    for half in directions(4, TURNS[0]).halves(3):
+        assert float(half.direction.mean(0).norm()) < 1e-6
+        axes = torch.cat([torch.eye(3), -torch.eye(3)])
+        assert float((half.direction @ axes.T).amax(0).min()) > 0.8

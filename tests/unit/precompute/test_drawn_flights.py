@@ -36,7 +36,7 @@ def test_each_extinction_ends_where_its_own_flight_would(grid: DensityGrid) -> N
     shift = torch.rand(len(lattice.numbers), generator=torch.Generator().manual_seed(1)).double()
     outermost = lattice.lattice.positions(torch.tensor([0, lattice.lattice.size - 1]))
     for number, direction in enumerate(DIRECTIONS.direction):
-        moved = shift + number // DIRECTIONS.ring * STEPS[0] + number % DIRECTIONS.ring * STEPS[1]
+        moved = shift + float(DIRECTIONS.place[number].double() @ torch.tensor(STEPS, dtype=torch.float64))
         depth = -torch.log1p(-(moved % 1.0))
         for extinction, one in zip(EXTINCTION.tolist(), drawn, strict=True):
             along = direction.expand(len(shift), 3).contiguous()

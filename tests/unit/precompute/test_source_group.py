@@ -164,7 +164,7 @@ def test_images_that_were_not_traced_have_the_pilot_s_mean() -> None:
 
 
 def test_smaller_tolerances_cost_more_paths() -> None:
-    paths = [build([2.0], tolerance=tolerance, paths=400_000).report.paths for tolerance in (0.1, 0.03, 0.015)]
+    paths = [build([2.0], tolerance=tolerance, paths=400_000).report.paths for tolerance in (0.03, 0.015, 0.0075)]
     assert paths[0] < paths[1] < paths[2]
 
 

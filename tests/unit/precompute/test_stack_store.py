@@ -28,7 +28,7 @@ class Request:
     sun: torch.Tensor = dataclasses.field(default_factory=lambda: towards(120.0, 30.0))
     asymmetry: torch.Tensor = dataclasses.field(default_factory=lambda: torch.tensor([0.0, 0.5]))
     extinction: torch.Tensor = dataclasses.field(default_factory=lambda: torch.tensor([0.1, 1.0]))
-    effort: Effort = dataclasses.field(default_factory=lambda: Effort(orders=2, points=20, paths=200, strata=4))
+    effort: Effort = dataclasses.field(default_factory=lambda: Effort(orders=2, points=40, paths=200, strata=4))
     seed: int = 3
 
     @property
