@@ -34,7 +34,7 @@ class DirectionSet:
     def halves(self, degree: int) -> tuple["DirectionSet", "DirectionSet"]:
         """Every other direction, and the rest, with the harmonics up to a smaller degree and the least squares that give them back.
 
-        Harmonics whose degrees add up to no more than that of the whole set's are orthogonal over each half; those beyond by one, nearly so.
+        Harmonics whose degrees add up to no more than the whole set's are orthogonal over each half; those beyond by one nearly so.
         """
         middle = len(self.direction) // 2
         first, second = (self._part(rows, degree) for rows in (slice(None, middle), slice(middle, None)))

@@ -58,7 +58,7 @@ class Neighbourhood:
         yield expected
 
     def sharpen(self, source: Tensor) -> Tensor:
-        """Values at the points `(point, ...)` less `SPREAD` times their second differences along each axis, where both neighbours are there.
+        """Values at the points `(point, ...)` less `SPREAD` times their second differences along axes with both neighbours.
 
         Linear interpolation at a share w of the way between points h apart lies by w (1 - w) / 2 h^2 times the second derivative too
         high, 1/12 on average: peaks are cut.

@@ -186,7 +186,7 @@ def test_what_is_expected_is_not_smoothed() -> None:
 
 
 def test_sharpened_values_interpolate_to_the_mean_of_a_parabola() -> None:
-    """Linear interpolation of x^2 lies 1/6 too high on average between points one apart; at the rim, which has one neighbour, nothing is done."""
+    """Linear interpolation of x^2 lies 1/6 too high on average between points one apart; the rim, with one neighbour, is left alone."""
     lattice = Lattice(torch.zeros(3), torch.ones(3), (9, 3, 3))
     numbers = torch.arange(lattice.size)
     neighbours = find_neighbours(lattice, numbers, torch.full((lattice.size,), 8))
