@@ -235,7 +235,9 @@ class _Turn:
         """Two turns with half of the directions each, and harmonics up to a smaller degree."""
         first, second = self.directions.halves(degree)
         middle = len(first.direction)
-        return _Turn(first, self.flights.part(slice(None, middle))), _Turn(second, self.flights.part(slice(middle, None)))
+        return _Turn(first, self.flights.part(slice(None, middle))), _Turn(
+            second, self.flights.part(slice(middle, None))
+        )
 
 
 class _Carrier:
