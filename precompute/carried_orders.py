@@ -44,7 +44,7 @@ from render.random_streams import counter_keys, counter_uniform, stream_number
 from render.spherical_harmonics import degrees_of_harmonics, evaluate_harmonics
 
 HIGH_ORDER, HIGH_DEGREE = 10, 3
-"""Order beyond which light has become round enough for harmonics up to that degree."""
+"""Order beyond which light has become round enough for harmonics up to that degree, and for half of the directions at a time."""
 
 SHARPENED_DEGREE = 1
 """Harmonics up to which light is sharpened: what keeps the amount and the flow of light. At higher degrees it let a pattern of the lattice
