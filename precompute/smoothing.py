@@ -58,13 +58,13 @@ class Neighbourhood:
         yield expected
 
     def sharpen(self, source: Tensor) -> Tensor:
-        """Values at the points `(point, image, ...)` less `SPREAD` times their second differences along axes with both neighbours.
+        """Values at the points `(point, image, ...)` less `SPREAD` times their second differences along axes with both neighbours, if any.
 
         Linear interpolation at a share w of the way between points h apart lies by w (1 - w) / 2 h^2 times the second derivative too
         high, 1/12 on average: peaks are cut.
         """
         sharp = source.clone()
-        for neighbours, taps in self.axes[0]:
+        for neighbours, taps in next(iter(self.axes), ()):
             rows = torch.nonzero((taps[:, BEFORE] > 0) & (taps[:, AFTER] > 0)).flatten()
             before, after = neighbours[rows, BEFORE], neighbours[rows, AFTER]
             # Image by image, since copies of all of them take much memory.

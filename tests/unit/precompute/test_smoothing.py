@@ -5,6 +5,7 @@ from itertools import pairwise
 import pytest
 import torch
 
+from precompute import smoothing
 from precompute.gather import Lattice
 from precompute.smoothing import LEVELS, SPLINE, LevelErrors, find_neighbours, measure_levels
 
@@ -214,3 +215,13 @@ def test_a_missing_neighbour_leaves_its_axis_alone() -> None:
     beside = int((numbers == 17).nonzero())
     # Along y 17 lies at the rim, and along x between 16 and 18.
     torch.testing.assert_close(sharp[beside], torch.zeros(2))
+
+
+def test_without_levels_nothing_is_sharpened(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(smoothing, "LEVELS", 0)
+    values = torch.rand(CUBE.size, 2, generator=torch.Generator().manual_seed(3))
+    neighbours = find_neighbours(CUBE, every(CUBE), torch.full((CUBE.size,), 8))
+    torch.testing.assert_close(neighbours.sharpen(values), values)
+    monkeypatch.undo()
+    neighbours = find_neighbours(CUBE, every(CUBE), torch.full((CUBE.size,), 8))
+    assert not torch.allclose(neighbours.sharpen(values), values)
