@@ -49,7 +49,9 @@ def test_any_loss_ranks_the_answers_in_its_own_units(loss: str) -> None:
 
 def test_what_the_photograph_determines_is_reported() -> None:
     problem = problem_with_known_answer()
-    fit = fit_photograph(problem.analysis, small_scene(), small_stack(), replace(OPTIONS, candidates=1))
+    # How many answers come near the best is chance after 400 evaluations: 4 to 113 with six seeds.
+    options = replace(OPTIONS, candidates=1, evaluations=600)
+    fit = fit_photograph(problem.analysis, small_scene(), small_stack(), options)
     assert fit.determination is not None
     assert [spread.name for spread in fit.determination.parameters] == list(problem.space.names)
     assert fit.determination.answers > 10
