@@ -75,9 +75,6 @@ FAINT = 1e-4
 AT_ONCE = 25
 """Directions that light is carried along at once: matrix products of fewer wait for memory, more would take much of it."""
 
-MEAN_SPREAD = torch.tensor([1.0 / 12.0])
-"""Half of w (1 - w) on average over a cell, for places that are anywhere."""
-
 
 @dataclass(frozen=True)
 class CarryingEffort:
@@ -215,7 +212,7 @@ def carry_orders(
         lattice = lattices[half]
         carrier = _Carrier(view, lattice, float(extinction[node]), step, turns)
         source, low = carrier.carry(asymmetry, plan)
-        return lattice.sharpen(source.flatten(1), MEAN_SPREAD).view_as(source), lattice.sharpen(low, MEAN_SPREAD)
+        return lattice.sharpen(source.flatten(1)).view_as(source), lattice.sharpen(low)
 
     nodes = len(extinction)
     pieces = map_in_threads(carry, 2 * nodes, lambda done: on_progress(0.3 + 0.35 * done / nodes))
@@ -234,10 +231,8 @@ class _Turn:
     def halves(self, degree: int) -> "tuple[_Turn, _Turn]":
         """Two turns with half of the directions each, and harmonics up to a smaller degree."""
         first, second = self.directions.halves(degree)
-        middle = len(first.direction)
-        return _Turn(first, self.flights.part(slice(None, middle))), _Turn(
-            second, self.flights.part(slice(middle, None))
-        )
+        rows = slice(None, len(first.direction)), slice(len(first.direction), None)
+        return _Turn(first, self.flights.part(rows[0])), _Turn(second, self.flights.part(rows[1]))
 
 
 class _Carrier:

@@ -11,6 +11,9 @@ from torch.nn.functional import embedding_bag
 from precompute.gather import Lattice, lattice_over
 from render.density_grid import DensityGrid
 
+MEAN_SPREAD = torch.tensor([1.0 / 12.0])
+"""Half of w (1 - w) on average over a cell, for places that are anywhere."""
+
 
 @dataclass(frozen=True, eq=False)
 class LightLattice:
@@ -33,7 +36,7 @@ class LightLattice:
         """Of the points `(point, 3)` [m]."""
         return self.lattice.positions(self.numbers)
 
-    def sharpen(self, values: Tensor, spread: Tensor) -> Tensor:
+    def sharpen(self, values: Tensor, spread: Tensor = MEAN_SPREAD) -> Tensor:
         """Values `(point, column)` less the second differences along all axes times the spread `(point,)` at each point.
 
         Interpolation at a share w of the way from point to point widens what it interpolates by w (1 - w) h^2; half the mean of w (1 - w)
@@ -80,7 +83,7 @@ def light_lattice_over(grid: DensityGrid, spacing: float, points: int, shift: fl
         if int(needed.sum()) <= 1.1 * points:
             break
         stretch *= 1.02 * (int(needed.sum()) / points) ** (1.0 / 3.0)
-    return _number_points(lattice, needed.flatten())
+    return number_points(lattice, needed.flatten())
 
 
 def _around_density(grid: DensityGrid, lattice: Lattice) -> Tensor:
@@ -101,7 +104,8 @@ def _around_density(grid: DensityGrid, lattice: Lattice) -> Tensor:
     return held > 0
 
 
-def _number_points(lattice: Lattice, needed: Tensor) -> LightLattice:
+def number_points(lattice: Lattice, needed: Tensor) -> LightLattice:
+    """The points of a lattice that are needed `(lattice point,)`, with their neighbours."""
     numbers = torch.nonzero(needed).flatten()
     entry = torch.zeros(lattice.size, dtype=torch.int32)
     entry[numbers] = torch.arange(len(numbers), dtype=torch.int32)

@@ -14,10 +14,11 @@ from torch import Tensor
 from precompute.order_plan import LARGEST_RATIO
 
 STRIDE, LAGS = 4, 6
-"""Of the recurrence. Neighbouring orders are too alike to be told apart, and four sets of directions by turns need a multiple of four."""
+"""Of the recurrence. Neighbouring orders are too alike to be told apart; a stride of eight, after which the sets of directions that orders
+take turns with come back, errs more: of all carried light in the Disney cloud, depth 60 and albedo one, by 7 instead of 5 per cent."""
 
 FIT_STEP = 2
-"""Between the orders that it is fitted to, even likewise."""
+"""Between the orders that it is fitted to."""
 
 RIDGE = 1e-9
 """Added to the normal equations, relative to their diagonal."""

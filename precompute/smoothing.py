@@ -23,12 +23,6 @@ from precompute.gather import Lattice
 
 SPLINE = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
 
-BEFORE, AFTER = 1, 3
-"""Of these taps, those of the nearest neighbours."""
-
-SPREAD = 1.0 / 12.0
-"""Half the mean of w (1 - w) over w from 0 to 1."""
-
 LEVELS = 3
 """Of smoothing; the last one averages over some thousand neighbours."""
 
@@ -56,21 +50,6 @@ class Neighbourhood:
                 weight = embedding_bag(neighbours, weight, per_sample_weights=taps, mode="sum")
             yield expected + weighted / weight
         yield expected
-
-    def sharpen(self, source: Tensor) -> Tensor:
-        """Values at the points `(point, image, ...)` less `SPREAD` times their second differences along axes with both neighbours, if any.
-
-        Linear interpolation at a share w of the way between points h apart lies by w (1 - w) / 2 h^2 times the second derivative too
-        high, 1/12 on average: peaks are cut.
-        """
-        sharp = source.clone()
-        for neighbours, taps in next(iter(self.axes), ()):
-            rows = torch.nonzero((taps[:, BEFORE] > 0) & (taps[:, AFTER] > 0)).flatten()
-            before, after = neighbours[rows, BEFORE], neighbours[rows, AFTER]
-            # Image by image, since copies of all of them take much memory.
-            for image, values in zip(sharp.unbind(1), source.unbind(1), strict=True):
-                image[rows] += SPREAD * (2.0 * values[rows] - values[before] - values[after])
-        return sharp
 
 
 def find_neighbours(lattice: Lattice, numbers: Tensor, paths: Tensor) -> Neighbourhood:

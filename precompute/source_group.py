@@ -24,28 +24,23 @@ from precompute.error_budget import (
     next_pass,
 )
 from precompute.error_probe import ErrorProbe, SmoothSource, probe_rays
-from precompute.gather import Lattice, Strata, gather_bags, lattice_over
+from precompute.gather import Lattice, Strata, gather_bags
 from precompute.group_task import GroupTask
 from precompute.heap import trim_heap
+from precompute.light_lattice import number_points
 from precompute.order_plan import OrderPlan, plan_orders
 from precompute.single_scattering import compute_single_scattering
 from precompute.smoothing import find_neighbours
 from precompute.source_model import SourceModel, Surroundings, measure_surroundings
-from precompute.source_points import SourceTable, allocate_paths
+from precompute.source_points import SourceTable, allocate_paths, place_points
 from precompute.view import View
 from render.phase_functions import evaluate_phase_function
-
-THICK_SPACING = 0.5
-"""Closest lattice in voxels: pixels and density vary over a voxel, not over less."""
 
 FAINT_SHARE, FAINT_EFFORT = 5.0, 0.1
 """Multiple scattering below so many times the tolerance gets a tenth of the points and paths; the error is estimated as ever."""
 
 DARKEST = 0.2
 """Light at a point over its mean that paths are spent for at least."""
-
-LARGEST_LATTICE = 1 << 24
-"""Lattice points that may be numbered, whether or not they are used."""
 
 PILOT_POINTS, PILOT_PATHS = 2000, 32_000
 """Source points and paths of the pilot that says how fast the orders decay."""
@@ -107,9 +102,10 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
         report(1.0)
         return _single_only(task, single, pilot.complete(torch.empty(0), phase[:, None] * single), pilot, clock)
     plan, effort = plan_orders(pilot.plan.knots[pilot.enough - 1]), pilot.suited(task.effort)
-    lattice, importance = _place_points(view, strata, task.points(effort))
+    points = task.points(effort)
+    lattice, importance = place_points(view, strata, points)
     clock.lap("source points")
-    carried = task.carry(plan, task.points(effort), lambda share: report(0.1 + 0.1 * share))
+    carried = task.carry(plan, points, lambda share: report(0.1 + 0.1 * share))
     clock.lap("carried orders")
     if carried is not None:
         _weigh_by_light(importance, lattice, carried)
@@ -170,6 +166,9 @@ class _Smoother:
     ) -> None:
         self._table, self._carried, self._probe = table, carried, probe
         self._surroundings, self._task = surroundings, task
+        used = torch.zeros(table.lattice.size, dtype=torch.bool)
+        used[table.numbers] = True
+        self._points = number_points(table.lattice, used)
 
     def at(self, nodes: Iterable[int]) -> Iterator[SmoothSource]:
         """The source at some of the extinctions."""
@@ -185,8 +184,13 @@ class _Smoother:
                     features = torch.cat([features, self._carried.features_at(node, position)], dim=1)
                 source[:, :, : of_paths.shape[2]] += of_paths
             smooth = self._probe.smooth(node, source, neighbours, SourceModel(features, table.paths))
-            yield replace(smooth, source=neighbours.sharpen(smooth.source)) if self._task.thick else smooth
+            yield self._sharpen(smooth) if self._task.thick else smooth
             trim_heap()
+
+    def _sharpen(self, smooth: SmoothSource) -> SmoothSource:
+        """Linear interpolation between points cuts peaks; image by image, so that copies of one only are held."""
+        images = smooth.source.unbind(1)
+        return replace(smooth, source=torch.stack([self._points.sharpen(image) for image in images], dim=1))
 
 
 _Images = tuple[Tensor, list[SmoothSource]]
@@ -309,7 +313,7 @@ def _fly_pilot(task: GroupTask, strata: Strata, single: Tensor) -> Pilot:
         return Pilot(plan, len(plan.knots), 0.0, 1.0, None)
     rays = probe_rays(len(task.view.pixel))
     view, part = task.view.part(rays), strata.part(rays)
-    lattice, importance = _place_points(view, part, PILOT_POINTS)
+    lattice, importance = place_points(view, part, PILOT_POINTS)
     table = task.source_table(lattice, plan, task.nodes(), 0)
     table.add_pass(allocate_paths(importance, PILOT_PATHS))
     entry = table.entry()
@@ -340,23 +344,6 @@ def _shares_beyond(albedo: float, single: Tensor, mean: Tensor, knots: Tensor) -
     energy = (albedo ** knots.double())[:, None, None] * mean
     beyond = torch.cat([energy.flip(0).cumsum(0).flip(0), torch.zeros_like(single)[None]])
     return (beyond / (albedo * single + energy.sum(0)).clamp(min=1e-300)).flatten(1).amax(1)
-
-
-def _place_points(view: View, strata: Strata, points: int) -> tuple[Lattice, Tensor]:
-    """Lattice as fine as the number of points allows, and the importance of each of its points: summed squared weights."""
-    finest = max(THICK_SPACING, (view.grid.density.numel() / LARGEST_LATTICE) ** (1.0 / 3.0))
-    stretch = max(finest, 1.0)
-    for _ in range(3):
-        lattice = lattice_over(view.grid, stretch)
-        importance = torch.zeros(lattice.size, dtype=torch.float64)
-        for bags in gather_bags(lattice, view.origin, view.direction, strata):
-            importance.index_add_(0, bags.numbers.flatten(), bags.weights.flatten().double().square())
-        used = int((importance > 0).sum())
-        wanted = max(finest, stretch * (used / points) ** 0.4)
-        if 0.8 < wanted / stretch < 1.25:
-            break
-        stretch = wanted
-    return lattice, importance
 
 
 def _single_only(task: GroupTask, single: Tensor, multiple: Tensor, pilot: Pilot, clock: _Clock) -> GroupImages:

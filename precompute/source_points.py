@@ -12,9 +12,10 @@ import torch
 from torch import Tensor
 
 from precompute.free_flight import DARKEST_DEPTH
-from precompute.gather import Lattice
+from precompute.gather import Lattice, Strata, gather_bags, lattice_over
 from precompute.order_plan import OrderPlan
 from precompute.path_sampler import TableNodes, sample_paths
+from precompute.view import View
 from render.camera import Camera
 from render.density_grid import DensityGrid
 from render.fused import fused_loops_wanted
@@ -30,6 +31,12 @@ PATHS_PER_POINT = 1 << 20
 LANES = 1 << 15
 """Paths in flight at once; bounds the memory."""
 
+THICK_SPACING = 0.5
+"""Closest lattice in voxels: pixels and density vary over a voxel, not over less."""
+
+LARGEST_LATTICE = 1 << 24
+"""Lattice points that may be numbered, whether or not they are used."""
+
 
 @dataclass(frozen=True, eq=False)
 class SourcePoints:
@@ -42,6 +49,23 @@ class SourcePoints:
 
     numbers: Tensor
     paths: Tensor
+
+
+def place_points(view: View, strata: Strata, points: int) -> tuple[Lattice, Tensor]:
+    """Lattice as fine as the number of points allows, and the importance of each of its points: summed squared weights."""
+    finest = max(THICK_SPACING, (view.grid.density.numel() / LARGEST_LATTICE) ** (1.0 / 3.0))
+    stretch = max(finest, 1.0)
+    for _ in range(3):
+        lattice = lattice_over(view.grid, stretch)
+        importance = torch.zeros(lattice.size, dtype=torch.float64)
+        for bags in gather_bags(lattice, view.origin, view.direction, strata):
+            importance.index_add_(0, bags.numbers.flatten(), bags.weights.flatten().double().square())
+        used = int((importance > 0).sum())
+        wanted = max(finest, stretch * (used / points) ** 0.4)
+        if 0.8 < wanted / stretch < 1.25:
+            break
+        stretch = wanted
+    return lattice, importance
 
 
 def allocate_paths(importance: Tensor, paths: int) -> SourcePoints:

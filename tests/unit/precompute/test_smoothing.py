@@ -5,7 +5,6 @@ from itertools import pairwise
 import pytest
 import torch
 
-from precompute import smoothing
 from precompute.gather import Lattice
 from precompute.smoothing import LEVELS, SPLINE, LevelErrors, find_neighbours, measure_levels
 
@@ -184,44 +183,3 @@ def test_what_is_expected_is_not_smoothed() -> None:
     assert torch.equal(found[-1], expected)
     for level, smooth in zip(found[1:-1], smoothed(CUBE, numbers, rest, paths)[1:], strict=True):
         torch.testing.assert_close(level, expected + smooth, rtol=1e-4, atol=1e-5)
-
-
-def test_sharpened_values_interpolate_to_the_mean_of_a_parabola() -> None:
-    """Linear interpolation of x^2 lies 1/6 too high on average between points one apart; the rim, with one neighbour, is left alone."""
-    lattice = Lattice(torch.zeros(3), torch.ones(3), (9, 3, 3))
-    numbers = torch.arange(lattice.size)
-    neighbours = find_neighbours(lattice, numbers, torch.full((lattice.size,), 8))
-    x = lattice.positions(numbers)[:, :1].double()
-    sharp = neighbours.sharpen(x**2)
-    inner = ((x > 0) & (x < 8)).flatten()
-    torch.testing.assert_close(sharp[inner], x[inner] ** 2 - 1.0 / 6.0)
-    torch.testing.assert_close(sharp[~inner], x[~inner] ** 2)
-    between = torch.linspace(2.0, 6.0, 4001, dtype=torch.float64)[:-1]
-    row = sharp.flatten()[:9]
-    low = between.floor().long()
-    found = torch.lerp(row[low], row[low + 1], between - low)
-    assert float((found - between**2).mean()) == pytest.approx(0.0, abs=1e-3)
-
-
-def test_a_missing_neighbour_leaves_its_axis_alone() -> None:
-    lattice = Lattice(torch.zeros(3), torch.ones(3), (5, 3, 3))
-    numbers = torch.arange(lattice.size)[torch.arange(lattice.size) != 23]
-    neighbours = find_neighbours(lattice, numbers, torch.full((len(numbers),), 8))
-    value = torch.zeros(len(numbers), 2)
-    place = int((numbers == 22).nonzero())  # the middle, whose neighbour along x is missing
-    value[place] = 1.0
-    sharp = neighbours.sharpen(value)
-    torch.testing.assert_close(sharp[place], torch.full((2,), 1.0 + 2 * 2.0 / 12.0))
-    beside = int((numbers == 17).nonzero())
-    # Along y 17 lies at the rim, and along x between 16 and 18.
-    torch.testing.assert_close(sharp[beside], torch.zeros(2))
-
-
-def test_without_levels_nothing_is_sharpened(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(smoothing, "LEVELS", 0)
-    values = torch.rand(CUBE.size, 2, generator=torch.Generator().manual_seed(3))
-    neighbours = find_neighbours(CUBE, every(CUBE), torch.full((CUBE.size,), 8))
-    torch.testing.assert_close(neighbours.sharpen(values), values)
-    monkeypatch.undo()
-    neighbours = find_neighbours(CUBE, every(CUBE), torch.full((CUBE.size,), 8))
-    assert not torch.allclose(neighbours.sharpen(values), values)

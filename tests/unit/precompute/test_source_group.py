@@ -11,8 +11,10 @@ import torch
 
 from precompute import source_group
 from precompute.error_budget import ALBEDOS, OMITTED_SHARE, Effort, StopReason, box_error
-from precompute.group_task import LARGEST_STEP, SMALLEST_STEP, THINNEST_ANCHOR, GroupTask
-from precompute.source_group import THICK_SPACING, GroupImages, build_group
+from precompute.group_task import LARGEST_STEP, SMALLEST_STEP, THIN_POINTS, THINNEST_ANCHOR, GroupTask
+from precompute.light_lattice import LightLattice
+from precompute.source_group import GroupImages, build_group
+from precompute.source_points import THICK_SPACING
 from precompute.view import View, view_of
 from render.density_grid import DensityGrid
 from render.fused import torch_loops_only
@@ -265,3 +267,16 @@ def test_a_tolerance_is_met_at_all_extinctions_or_not_at_all(
     assert smoother.asked == asked
     # Images that were made to be judged are not made again.
     assert (images is not None) == (len(asked) > len(errors))
+
+
+@pytest.mark.parametrize(("depth", "thick"), [(12.0, False), (30.0, True)])
+def test_only_thick_groups_are_sharpened_and_have_all_points(
+    depth: float, thick: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sharp = build([depth], orders=3)
+    monkeypatch.setattr(LightLattice, "sharpen", lambda _, values: values)
+    plain = build([depth], orders=3)
+    change = (sharp.multiple.double().mean(-1) / plain.multiple.double().mean(-1) - 1.0).abs()
+    assert (1e-3 < float(change.max()) < 0.1) is thick
+    assert (float(change.max()) == 0.0) is not thick
+    assert task([depth]).points(EFFORT) == (EFFORT.points if thick else round(THIN_POINTS * EFFORT.points))
