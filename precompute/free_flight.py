@@ -58,8 +58,8 @@ def fly(grid: DensityGrid, position: Tensor, direction: Tensor, optical_length: 
     if fused_loops_wanted(grid.density, position, direction, optical_length):
         from precompute.fused_flight import march_flights  # needs numba
 
-        target = optical_length.expand_as(length)
-        collided, travelled, passed = march_flights(grid.table.padded, origin, rate, length, steps, target)
+        table, target = grid.table, optical_length.expand_as(length)
+        collided, travelled, passed = march_flights(table.padded, table.clearance, origin, rate, length, steps, target)
     else:
         collided, travelled, passed = _march_lanes(grid, origin, rate, length, steps, optical_length)
     return Flight(collided, position + (near + travelled)[:, None] * direction, passed)

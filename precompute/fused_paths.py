@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from precompute.fused_flight import march
+from precompute.fused_flight import Bytes, march
 from precompute.path_sampler import ASYMMETRY_DRAW, EXTINCTION_DRAW, Draw
 from render.fused import announce_compilation, run_in_threads
 from render.fused_scattering import (
@@ -32,8 +32,8 @@ from render.fused_scattering import (
 CHUNK = 64
 """Points whose paths are traced by one call."""
 
-Medium = tuple[Floats, Floats, float, float]
-"""Densities; corners and voxel size of their box; marching step; farthest optical length to the sun."""
+Medium = tuple[Floats, Bytes, Floats, float, float]
+"""Densities; clearance of their cells; corners and voxel size of their box; marching step; farthest optical length to the sun."""
 Longs = NDArray[np.int64]
 Table = tuple[Floats, Floats, Doubles, Longs, Longs, Doubles, Doubles]
 """Asymmetries, their anchors and the odds of these; last order of asymmetries and anchors; extinctions and their anchors, each with the
@@ -63,7 +63,7 @@ def _choose(number: float, odds: Doubles) -> int:
 
 @njit(nogil=True, cache=True)
 def _fly(
-    values: Floats, box: Floats, stride: float, position: Vector, direction: Vector, target: float
+    values: Floats, clearance: Bytes, box: Floats, stride: float, position: Vector, direction: Vector, target: float
 ) -> tuple[bool, Vector, float]:
     """One free flight: whether it ended inside, where, and the optical length passed. `box` holds corners and voxel size."""
     near, far = chord(box, position, direction)
@@ -71,13 +71,13 @@ def _fly(
     length = (far - near) / np.float32(steps)
     if not length > 0.0:
         return False, position, np.float32(0.0)
-    start_x = (position[0] + near * direction[0] - box[0, 0]) / box[2, 0] - HALF
-    start_y = (position[1] + near * direction[1] - box[0, 1]) / box[2, 1] - HALF
-    start_z = (position[2] + near * direction[2] - box[0, 2]) / box[2, 2] - HALF
-    rate_x = direction[0] / box[2, 0] * length
-    rate_y = direction[1] / box[2, 1] * length
-    rate_z = direction[2] / box[2, 2] * length
-    hit, travelled, passed = march(values, (start_x, start_y, start_z), (rate_x, rate_y, rate_z), length, steps, target)
+    start = (
+        (position[0] + near * direction[0] - box[0, 0]) / box[2, 0] - HALF,
+        (position[1] + near * direction[1] - box[0, 1]) / box[2, 1] - HALF,
+        (position[2] + near * direction[2] - box[0, 2]) / box[2, 2] - HALF,
+    )
+    rate = (direction[0] / box[2, 0] * length, direction[1] / box[2, 1] * length, direction[2] / box[2, 2] * length)
+    hit, travelled, passed = march(values, clearance, start, rate, length, steps, target)
     way = near + travelled
     end = (position[0] + way * direction[0], position[1] + way * direction[1], position[2] + way * direction[2])
     return hit, end, passed
@@ -153,7 +153,7 @@ def _add_vertex(
         leg: direction of the last one, its cosine with the one before, and the optical length of all.
         reached: probability of having come so far and of being connected.
     """
-    values, box, stride, farthest = medium
+    values, clearance, box, stride, farthest = medium
     asymmetry, asymmetry_anchors, odds, last, anchor_last, extinction, extinction_anchors = table
     of_node, of_square, product, density, of_g, of_s = sums
     turned, cosine, passed = leg
@@ -163,7 +163,7 @@ def _add_vertex(
         of_g[g] = 0.0
         if last[g] >= order:
             of_g[g] = product[g] * phase(cosine, asymmetry[g]) * phase(cosine_sun, asymmetry[g]) * weight
-    sun_length = _fly(values, box, stride, position, sun, farthest)[2]
+    sun_length = _fly(values, clearance, box, stride, position, sun, farthest)[2]
     _connect(order, passed, sun_length, extinction, extinction_anchors, of_s)
     for knot in range(len(shares)):
         if shares[knot] != 0.0:
@@ -175,7 +175,7 @@ def _trace_path(
     medium: Medium, table: Table, plan: Plan, position: Vector, direction: Vector, sun: Vector, key: int, sums: Sums
 ) -> None:
     """Follow one path and add its weights to the sums `(knot, asymmetry, extinction)`."""
-    values, box, stride, _ = medium
+    values, clearance, box, stride, _ = medium
     asymmetry, asymmetry_anchors, odds, _, anchor_last, _, extinction_anchors = table
     continuation, connection, shares = plan
     product, density = sums[2], sums[3]
@@ -195,13 +195,13 @@ def _trace_path(
             first, second = uniform(key, dimension + BRANCH_COSINE), uniform(key, dimension + BRANCH_AZIMUTH)
             turned = turn(sun, lobe, first, second)
             target = -np.float32(math.log(uniform(key, dimension + BRANCH_FLIGHT))) / anchor
-            hit, end, used = _fly(values, box, stride, position, turned, target)
+            hit, end, used = _fly(values, clearance, box, stride, position, turned, target)
             if hit:
                 leg = (turned, cosine_between(direction, turned), passed + used)
                 _add_vertex(medium, table, share, order, end, leg, sun, linked, sums)
         turned = turn(direction, lobe, uniform(key, dimension + COSINE), uniform(key, dimension + AZIMUTH))
         target = -np.float32(math.log(uniform(key, dimension + FLIGHT))) / anchor
-        hit, position, used = _fly(values, box, stride, position, turned, target)
+        hit, position, used = _fly(values, clearance, box, stride, position, turned, target)
         if not hit:
             return
         passed += used
@@ -248,6 +248,7 @@ def _trace_points(
 @torch.library.custom_op("cloudfit::trace_paths", mutates_args=())
 def trace_paths(
     values: Tensor,
+    clearance: Tensor,
     box: Tensor,
     stride: float,
     farthest: float,
@@ -272,6 +273,7 @@ def trace_paths(
 
     Args:
         values: densities `(z, y, x)`, no axis shorter than two.
+        clearance: of their cells, see `measure_clearance`.
         box: lower corner, upper corner and edges of a voxel `(3, 3)` [m].
         stride: longest marching step [m].
         farthest: optical length to the sun beyond which nothing is lit [m].
@@ -294,7 +296,7 @@ def trace_paths(
     source = torch.empty(thickness, len(position), 2, knots, lobes)
     chunks = max(1, math.ceil(len(position) / CHUNK))
     squares = torch.zeros(chunks, knots, lobes, thickness, dtype=torch.float64)
-    medium = (values.numpy(), box.numpy(), np.float32(stride), np.float32(farthest))
+    medium = (values.numpy(), clearance.numpy(), box.numpy(), np.float32(stride), np.float32(farthest))
     table = (
         *(tensor.numpy() for tensor in (asymmetry, asymmetry_anchors, asymmetry_odds, asymmetry_last, anchor_last)),
         _with_logarithm(extinction),

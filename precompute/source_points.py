@@ -221,6 +221,7 @@ def _trace_batch_fused(
 
     return trace_paths(
         grid.table.padded,
+        grid.table.clearance,
         torch.stack([grid.lower, grid.upper, grid.voxel_size]),
         step * float(grid.voxel_size.min()),
         DARKEST_DEPTH / float(nodes.extinction[0]),

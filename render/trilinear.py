@@ -5,6 +5,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from render.empty_space import measure_clearance
 from render.errors import ParameterError
 from render.fused import fused_loops_wanted
 
@@ -46,6 +47,11 @@ class TrilinearTable:
             if values.shape[axis] == 1:
                 values = values.repeat_interleave(2, dim=axis)
         return values.contiguous()
+
+    @cached_property
+    def clearance(self) -> Tensor:
+        """Cells from each cell of `padded` to the nearest that holds anything, see `measure_clearance`."""
+        return measure_clearance(self.padded)
 
     @cached_property
     def _corner_offsets(self) -> list[int]:

@@ -15,9 +15,19 @@ from tests.support.volumes import noise_box, ramp_box, towards, uniform_box
 
 pytestmark = pytest.mark.skipif(not fused_loops_wanted(), reason="the fused loops are turned off")
 
+
+def islands() -> DensityGrid:
+    """Two small clouds at opposite corners of an empty box, over which marches leap; its voxels are no cubes."""
+    density = torch.zeros(20, 14, 24)
+    density[1:7, 1:8, 2:9] = noise_box().density.repeat(1, 2, 2)[:, :7, :7]
+    density[15:19, 9:13, 18:24] = noise_box(seed=2).density[:4, :4, :6]
+    return DensityGrid.from_voxel_size(60.0 * density, (0.3, 0.5, 0.2))
+
+
 GRIDS: dict[str, Callable[[], DensityGrid]] = {
     "noise": noise_box,
     "holes": lambda: noise_box(8, sparse=0.7),
+    "islands": islands,
     "ramp": ramp_box,
     "one voxel": lambda: uniform_box(voxels=(1, 1, 1)),
     "one voxel thick": lambda: uniform_box(voxels=(5, 1, 7), density=0.3),
@@ -60,6 +70,17 @@ def test_flights_are_those_of_torch(name: str, step: float) -> None:
     torch.testing.assert_close(fused.optical_length[same], plain.optical_length[same], rtol=1e-5, atol=1e-5)
     if name not in ("empty",):
         assert 0.05 < float(fused.collided.float().mean()) < 0.95
+
+
+@pytest.mark.parametrize("step", [0.1, 0.7, 3.0])
+def test_leaps_over_nothing_change_nothing(step: float) -> None:
+    grid, steps_only = islands(), islands()
+    vars(steps_only.table)["clearance"] = torch.zeros_like(grid.table.clearance)
+    assert int(grid.table.clearance.max()) >= 5
+    leaping, stepping = (fly(one, *starts(grid, 4000), step) for one in (grid, steps_only))
+    assert torch.equal(leaping.collided, stepping.collided)
+    assert torch.equal(leaping.position, stepping.position)
+    assert torch.equal(leaping.optical_length, stepping.optical_length)
 
 
 def test_other_lengths_end_elsewhere() -> None:
