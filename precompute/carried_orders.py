@@ -31,6 +31,7 @@ from torch.nn.functional import embedding_bag
 from precompute.direction_sets import DirectionSet, turned_directions
 from precompute.drawn_flights import BITS, FRACTIONS, DrawnFlights, draw_flights
 from precompute.free_flight import march_to_sun
+from precompute.heap import trim_heap
 from precompute.in_threads import map_in_threads
 from precompute.light_lattice import LightLattice, light_lattice_over, spacing_for
 from precompute.order_plan import SEPARATE_ORDERS, OrderPlan, place_knots
@@ -76,6 +77,10 @@ AT_ONCE = 25
 """Directions that light is carried along at once: matrix products of fewer wait for memory, more would take much of it."""
 
 
+CarryingLattices = tuple[LightLattice, LightLattice]
+"""Of both halves."""
+
+
 @dataclass(frozen=True)
 class CarryingEffort:
     """How finely light is carried.
@@ -107,7 +112,7 @@ class CarriedOrders:
             taken for the orders that are traced, but nearly without noise.
     """
 
-    lattices: tuple[LightLattice, LightLattice]
+    lattices: CarryingLattices
     degree: int
     source: tuple[Tensor, Tensor]
     features: tuple[Tensor, Tensor]
@@ -153,9 +158,7 @@ def carried_asymmetries(asymmetry: Tensor) -> Tensor:
     return kept
 
 
-def resolving_lattices(
-    grid: DensityGrid, extinction: float, effort: CarryingEffort
-) -> tuple[LightLattice, LightLattice] | None:
+def resolving_lattices(grid: DensityGrid, extinction: float, effort: CarryingEffort) -> CarryingLattices | None:
     """Lattices that resolve the mean free paths at an extinction [1/m]; None where they would take too many points."""
     coarsest = effort.coarsest * max(grid.density.shape)
     spacing = min(coarsest, spacing_for(grid, extinction, CELL_DEPTH))
@@ -166,7 +169,7 @@ def resolving_lattices(
 
 def carry_orders(
     view: View,
-    lattices: tuple[LightLattice, LightLattice],
+    lattices: CarryingLattices,
     asymmetry: Tensor,
     extinction: Tensor,
     plan: OrderPlan,
@@ -205,6 +208,7 @@ def carry_orders(
         return draw_flights(view.grid, lattices[half], sets[half][turn], extinction, shift, step)
 
     flights = map_in_threads(draw, 2 * count, lambda done: on_progress(0.3 * done / (2 * count)))
+    trim_heap()
 
     def carry(piece: int) -> tuple[Tensor, Tensor]:
         node, half = divmod(piece, 2)
@@ -279,6 +283,7 @@ class _Carrier:
             if order > traced.max() and bool(faint.all()):
                 break
         else:
+            del light, space  # as much memory as the rest needs
             # Faint light is noise of either sign, from which nothing follows.
             self._extend(found, history, between * ~faint[:, None], traced, last, plan)
         return found.movedim(0, 1).contiguous(), torch.cat(low, dim=1)

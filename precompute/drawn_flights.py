@@ -10,8 +10,9 @@ from precompute.free_flight import fly
 from precompute.light_lattice import LightLattice
 from render.density_grid import DensityGrid
 
-BITS, FRACTIONS = 10, (1 << 10) - 1
-"""Of a place within a cell along each axis, and the largest number that they hold."""
+BITS, FRACTIONS = 5, (1 << 5) - 1
+"""Of a place within a cell along each axis, and the largest number that they hold. Places are drawn: what rounding moves one by, it moves
+another back."""
 
 STEPS = (0.7548776662466927, 0.5698402909980532)
 """Of the flights' quantiles from direction to direction: a lattice in two dimensions (Roberts 2018, "The unreasonable effectiveness
@@ -27,7 +28,7 @@ class DrawnFlights:
 
     Args:
         cell: lattice point at the low corner of that place `(direction, point)` int32; -1 where the flight left the volume.
-        fraction: along x, y and z within the cell, in `BITS` each `(direction, point)` int32.
+        fraction: along x, y and z within the cell, in `BITS` each `(direction, point)` int16.
         spread: of interpolation around each point, see `LightLattice.sharpen` `(point,)`.
     """
 
@@ -54,7 +55,7 @@ def draw_flights(
         step: longest marching step in voxels.
     """
     shape = (len(extinction), len(directions.direction), len(shift))
-    cell, fraction = torch.full(shape, -1, dtype=torch.int32), torch.zeros(shape, dtype=torch.int32)
+    cell, fraction = torch.full(shape, -1, dtype=torch.int32), torch.zeros(shape, dtype=torch.int16)
     ends: list[list[Tensor]] = [[] for _ in extinction]
     quantile = directions.place.double() @ torch.tensor(STEPS, dtype=torch.float64)
     for number, direction in enumerate(directions.direction):
@@ -80,6 +81,6 @@ def _place(lattice: LightLattice, position: Tensor) -> tuple[Tensor, Tensor]:
     counts = torch.tensor(lattice.lattice.counts)
     place = (position - lattice.lattice.corner) / lattice.lattice.spacing
     cell = place.int().clamp(min=0).minimum((counts - 2).clamp(min=0).int())
-    within = ((place - cell).clamp(0.0, 1.0) * FRACTIONS).round().int()
+    within = ((place - cell).clamp(0.0, 1.0) * FRACTIONS).round().short()
     low = cell[:, 0] + int(counts[0]) * (cell[:, 1] + int(counts[1]) * cell[:, 2])
     return low.int(), within[:, 0] + (within[:, 1] << BITS) + (within[:, 2] << 2 * BITS)

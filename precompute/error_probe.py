@@ -7,6 +7,7 @@ from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 from precompute.gather import Lattice, Strata, gather_bags
+from precompute.heap import trim_heap
 from precompute.order_plan import SEPARATE_ORDERS, OrderPlan, close_tail
 from precompute.smoothing import LevelErrors, Neighbourhood, measure_levels
 from precompute.source_model import SourceModel
@@ -19,20 +20,31 @@ PROBE_RAYS = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothSource:
-    """The source at one extinction, each column at its best level of smoothing, and what that leaves of the errors.
+class ImageErrors:
+    """Relative RMS errors of images at one extinction.
 
     Args:
-        source: mean of both halves `(point, knot, asymmetry)`.
-        of_knots: relative RMS error of each image `(knot, asymmetry)`.
+        of_knots: of each image `(knot, asymmetry)`.
         of_image: of the composed image `(albedo, asymmetry)`.
         of_bright: the same at albedo one, with the orders beyond the last where they are added `(asymmetry,)`.
     """
 
-    source: Tensor
     of_knots: Tensor
     of_image: Tensor
     of_bright: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothSource:
+    """The source at one extinction, each column at its best level of smoothing.
+
+    Args:
+        source: mean of both halves `(point, knot, asymmetry)`.
+        errors: that are left.
+    """
+
+    source: Tensor
+    errors: ImageErrors
 
 
 class ErrorProbe:
@@ -121,20 +133,18 @@ class ErrorProbe:
             columns = source[:, :, knot].flatten(1)
             levels = [level.unflatten(1, (2, -1)) for level in neighbours.levels(columns, model.expect(columns))]
             images = [self.gather(node, level) for level in levels]
-            errors = measure_levels(images).total
-            best = errors.argmin(0)
+            squares = measure_levels(images).total
+            best = squares.argmin(0)
             raw.append(images[0])
             smooth.append(_choose(images, best))
             power = smooth[-1].double().mean(1).square().mean(0)
-            of_knots.append(relative_error(errors.gather(0, best[None])[0], power))
+            of_knots.append(relative_error(squares.gather(0, best[None])[0], power))
             result.append(_choose(levels, best).mean(1))
+            del columns, levels
+            trim_heap()
         both = torch.stack(raw, dim=2), torch.stack(smooth, dim=2)
-        return SmoothSource(
-            torch.stack(result, dim=1),
-            torch.stack(of_knots),
-            self.composed(node, *both),
-            self.brightest(node, *both),
-        )
+        errors = ImageErrors(torch.stack(of_knots), self.composed(node, *both), self.brightest(node, *both))
+        return SmoothSource(torch.stack(result, dim=1), errors)
 
 
 def probe_rays(count: int) -> Tensor:

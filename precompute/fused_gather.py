@@ -34,7 +34,14 @@ def _sharpen(light: Floats, neighbours: Ints, spread: Floats, sharp: Floats, fir
 
 @njit(nogil=True, cache=True, fastmath=True)
 def _gather(
-    along: Floats, entry: Ints, strides: Ints, cell: Ints, fraction: Ints, brought: Floats, first: int, last: int
+    along: Floats,
+    entry: Ints,
+    strides: Ints,
+    cell: Ints,
+    fraction: NDArray[np.int16],
+    brought: Floats,
+    first: int,
+    last: int,
 ) -> None:
     sx, sy, sz = strides[0], strides[1], strides[2]
     # Direction by direction, whose values at all points fit the cache.
@@ -79,7 +86,7 @@ def gather_flights(
         along: values at the points for each direction `(direction, point, column)`.
         entry: number of each lattice point among the points `(lattice point,)` int32.
         counts: of the lattice's points along x, y and z `(3,)`.
-        cell, fraction: of the ends, see `DrawnFlights`, `(direction, point)` int32.
+        cell, fraction: of the ends, see `DrawnFlights`, `(direction, point)` int32 and int16.
         brought: receives them `(direction, point, column)`, zero for flights that left.
     """
     # Along an axis of one point both corners are that one.

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from precompute.carried_orders import CarriedOrders, CarryingEffort, carry_orders, resolving_lattices
+from precompute.carried_orders import (
+    CarriedOrders,
+    CarryingEffort,
+    CarryingLattices,
+    carry_orders,
+    resolving_lattices,
+)
 from precompute.error_budget import Effort
 from precompute.gather import Lattice
 from precompute.order_plan import OrderPlan
@@ -44,7 +50,7 @@ CARRIED_POINTS, CARRIED_DEGREE = (0.23, 0.33), (5, 4)
 thick cloud, whose light is round, needs points that resolve its free paths; a thin one, where light is scattered forward and leaves,
 directions."""
 
-LEAST_CARRIED, COARSEST_CARRIED, DEEPEST_CELL = 14_000, 1.0 / 32.0, 3.5
+LEAST_CARRIED, COARSEST_CARRIED, DEEPEST_CELL = 14_000, 1.0 / 32.0, 4.5
 """Points of that lattice, if the coarsest spacing does not need fewer; that spacing; and the cells beyond which paths are better."""
 
 ROUGH_TOLERANCE = 0.05
@@ -125,15 +131,17 @@ class GroupTask:
         view = self.view
         return SourceTable(view.grid, view.camera, view.sun, lattice, nodes, plan, self.step, 2 * self.seed + stream)
 
-    def carry(self, plan: OrderPlan, points: int, on_progress: Callable[[float], None]) -> CarriedOrders | None:
-        """High orders, carried on lattices that suit so many source points; None where these are too coarse, or it is not worth it."""
-        if plan.largest_order < FEWEST_CARRIED:
+    def lattices(self, largest_order: int, points: int) -> CarryingLattices | None:
+        """What high orders are carried on, to suit so many source points; None where it is too coarse, or not worth it."""
+        if largest_order < FEWEST_CARRIED:
             return None
-        effort = self._carrying_effort(points)
-        lattices = resolving_lattices(self.view.grid, float(self.extinction[-1]), effort)
-        if lattices is None:
-            return None
-        nodes = (self.asymmetry, self.extinction)
+        return resolving_lattices(self.view.grid, float(self.extinction[-1]), self._carrying_effort(points))
+
+    def carry(
+        self, plan: OrderPlan, lattices: CarryingLattices, points: int, on_progress: Callable[[float], None]
+    ) -> CarriedOrders:
+        """High orders, carried on lattices that suit so many source points."""
+        nodes, effort = (self.asymmetry, self.extinction), self._carrying_effort(points)
         return carry_orders(self.view, lattices, *nodes, plan, effort, self.step, self.seed, on_progress)
 
     @property

@@ -37,10 +37,9 @@ def extrapolate_orders(history: list[Tensor], shares: Tensor) -> Tensor:
     Returns:
         The sums `(sum, point, column)`.
     """
-    known = torch.stack(history)
-    sums = known.new_zeros(shares.shape[1], *known.shape[1:])
-    for column in range(known.shape[2]):
-        values = known[:, :, column].contiguous()
+    sums = history[0].new_zeros(shares.shape[1], *history[0].shape)
+    for column in range(history[0].shape[1]):
+        values = torch.stack([order[:, column] for order in history])
         weights = _weights_of_known(_fit_recurrence(values), len(values), shares.double())
         sums[:, :, column] = weights.T.to(values) @ values
     return sums

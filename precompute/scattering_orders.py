@@ -23,8 +23,11 @@ from render.scattering_stack import ScatteringTables
 
 Progress = Callable[[str, float], None]
 
-GROUP_EDGES = (2.0, 20.0, 64.0)
+GROUP_EDGES = (2.0, 20.0, 64.0, 128.0)
 """Largest optical depths at which a new group of extinction nodes begins."""
+
+DEEP_WEIGHT = 2.0
+"""Of nodes beyond the last of them, where no lattice is fine enough to carry light and paths go on to the last order."""
 
 DEFAULT_EFFORT = Effort()
 
@@ -110,8 +113,10 @@ def _split_groups(optical_depth: Tensor) -> list[slice]:
 
 
 def _path_shares(optical_depth: Tensor, groups: list[slice]) -> list[float]:
-    """Share of the paths for each group: by its number of nodes and by how much light is scattered more than once."""
-    weights = [float(-torch.expm1(-optical_depth[group].double() / 10.0).sum()) for group in groups]
+    """Share of the paths for each group: by its number of nodes, how much light is scattered more than once, and how far it is followed."""
+    weight = -torch.expm1(-optical_depth.double() / 10.0)
+    weight = torch.where(optical_depth > GROUP_EDGES[-1], DEEP_WEIGHT * weight, weight)
+    weights = [float(weight[group].sum()) for group in groups]
     return [weight / sum(weights) for weight in weights]
 
 

@@ -16,19 +16,18 @@ from torch.nn.functional import embedding_bag
 
 from precompute.carried_orders import CarriedOrders, last_traced_orders
 from precompute.error_budget import (
-    OMITTED_SHARE,
-    Effort,
     GroupReport,
     StopReason,
     box_error,
     next_pass,
 )
-from precompute.error_probe import ErrorProbe, SmoothSource, probe_rays
+from precompute.error_probe import ErrorProbe, ImageErrors, SmoothSource
 from precompute.gather import Lattice, Strata, gather_bags
 from precompute.group_task import GroupTask
 from precompute.heap import trim_heap
 from precompute.light_lattice import number_points
-from precompute.order_plan import OrderPlan, plan_orders
+from precompute.order_plan import OrderPlan
+from precompute.pilot import Pilot, fly_pilot
 from precompute.single_scattering import compute_single_scattering
 from precompute.smoothing import find_neighbours
 from precompute.source_model import SourceModel, Surroundings, measure_surroundings
@@ -36,14 +35,8 @@ from precompute.source_points import SourceTable, allocate_paths, place_points
 from precompute.view import View
 from render.phase_functions import evaluate_phase_function
 
-FAINT_SHARE, FAINT_EFFORT = 5.0, 0.1
-"""Multiple scattering below so many times the tolerance gets a tenth of the points and paths; the error is estimated as ever."""
-
 DARKEST = 0.2
 """Light at a point over its mean that paths are spent for at least."""
-
-PILOT_POINTS, PILOT_PATHS = 2000, 32_000
-"""Source points and paths of the pilot that says how fast the orders decay."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,17 +88,23 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     single, single_error = compute_single_scattering(*rays, view.sun, task.extinction, task.step, task.sections, cut)
     clock.lap("single scattering")
     report(0.1)
-    pilot = _fly_pilot(task, strata, single)
+    pilot = fly_pilot(task, strata, single)
     clock.lap("pilot")
     phase = evaluate_phase_function(view.direction @ view.sun, task.asymmetry[:, None])
     if pilot.enough == 0:
         report(1.0)
         return _single_only(task, single, pilot.complete(torch.empty(0), phase[:, None] * single), pilot, clock)
-    plan, effort = plan_orders(pilot.plan.knots[pilot.enough - 1]), pilot.suited(task.effort)
+    effort = pilot.suited(task.effort)
     points = task.points(effort)
+    lattices = task.lattices(pilot.needed.largest_order, points)
+    if task.thick and lattices is not None:
+        pilot = pilot.with_all_orders()
+    plan = pilot.needed
     lattice, importance = place_points(view, strata, points)
     clock.lap("source points")
-    carried = task.carry(plan, points, lambda share: report(0.1 + 0.1 * share))
+    carried = None
+    if lattices is not None:
+        carried = task.carry(plan, lattices, points, lambda share: report(0.1 + 0.1 * share))
     clock.lap("carried orders")
     if carried is not None:
         _weigh_by_light(importance, lattice, carried)
@@ -193,7 +192,7 @@ class _Smoother:
         return replace(smooth, source=torch.stack([self._points.sharpen(image) for image in images], dim=1))
 
 
-_Images = tuple[Tensor, list[SmoothSource]]
+_Images = tuple[Tensor, list[ImageErrors]]
 """Smoothed images `(knot, asymmetry, extinction, pixel)`, and their errors at each extinction."""
 
 
@@ -205,7 +204,7 @@ def _trace_until_accurate(
     gather: Callable[[], _Images],
     clock: _Clock,
     report: Callable[[float], None],
-) -> tuple[Tensor, list[SmoothSource], StopReason]:
+) -> tuple[Tensor, list[ImageErrors], StopReason]:
     """Trace paths until the effort's tolerance is met or its limits are reached: images, their errors, and why no more were traced."""
     effort = task.effort
     while True:
@@ -235,15 +234,15 @@ def _error_so_far(
     smoother: _Smoother, gather: Callable[[], _Images], extinctions: int, tolerance: float
 ) -> tuple[float, _Images | None]:
     """Error at every third extinction, which tells as well how many paths are missing; where none seem to be, at all, and the images."""
-    error = _error_of(smoother.at(range(extinctions - 1, -1, -3)))
+    error = _error_of(smooth.errors for smooth in smoother.at(range(extinctions - 1, -1, -3)))
     if error > tolerance:
         return error, None
     images = gather()
     return _error_of(images[1]), images
 
 
-def _error_of(smooth: Iterable[SmoothSource]) -> float:
-    return box_error(torch.stack([one.of_image for one in smooth]))
+def _error_of(errors: Iterable[ImageErrors]) -> float:
+    return box_error(torch.stack([one.of_image for one in errors]))
 
 
 def _gather(view: View, lattice: Lattice, entry: Tensor, strata: Strata, smoother: _Smoother) -> _Images:
@@ -257,93 +256,8 @@ def _gather(view: View, lattice: Lattice, entry: Tensor, strata: Strata, smoothe
             # The model may fall below zero where it is dark.
             image[:, :, bags.rays] = rows.unflatten(1, shape).movedim(0, -1).clamp_(min=0.0)
         images.append(image)
-        errors.append(smooth)
+        errors.append(smooth.errors)
     return torch.stack(images, dim=2), errors
-
-
-@dataclass(frozen=True, eq=False)
-class Pilot:
-    """How the orders decay, from few paths.
-
-    Args:
-        plan: all orders that may be traced.
-        enough: number of images that the tolerance needs; zero where single scattering is enough.
-        omitted: share of the mean image that the others have, at the node where it is largest.
-        multiple: share that all of them have, likewise.
-        mean: of every image over the pixels `(knot, asymmetry, extinction)`; none without a tolerance.
-    """
-
-    plan: OrderPlan
-    enough: int
-    omitted: float
-    multiple: float
-    mean: Tensor | None
-
-    def suited(self, effort: Effort) -> Effort:
-        """The effort that the group's multiple scattering is worth."""
-        if effort.tolerance is None or self.multiple > FAINT_SHARE * effort.tolerance:
-            return effort
-        return replace(
-            effort,
-            points=max(PILOT_POINTS, round(FAINT_EFFORT * effort.points)),
-            paths=max(PILOT_PATHS, round(FAINT_EFFORT * effort.paths)),
-        )
-
-    def complete(self, multiple: Tensor, shape: Tensor) -> Tensor:
-        """Images of all knots: those that were not traced have the pilot's mean and the shape of the last one that was.
-
-        They are too faint to matter by themselves, but without them the interpolation between nodes would meet a cliff.
-
-        Args:
-            multiple: images that were traced `(knot, asymmetry, extinction, pixel)`.
-            shape: image to use where none was `(asymmetry, extinction, pixel)`.
-        """
-        if self.mean is None or len(multiple) == len(self.mean):
-            return multiple
-        known = len(multiple)
-        last = multiple[-1] if known else shape
-        relative = last / last.mean(-1, keepdim=True).clamp(min=1e-30)
-        return torch.cat([multiple, self.mean[known:, ..., None].to(torch.float32) * relative])
-
-
-def _fly_pilot(task: GroupTask, strata: Strata, single: Tensor) -> Pilot:
-    """Find out which orders the tolerance needs."""
-    plan = plan_orders(task.effort.orders)
-    if task.effort.tolerance is None:
-        return Pilot(plan, len(plan.knots), 0.0, 1.0, None)
-    rays = probe_rays(len(task.view.pixel))
-    view, part = task.view.part(rays), strata.part(rays)
-    lattice, importance = place_points(view, part, PILOT_POINTS)
-    table = task.source_table(lattice, plan, task.nodes(), 0)
-    table.add_pass(allocate_paths(importance, PILOT_PATHS))
-    entry = table.entry()
-    mean = torch.zeros(len(plan.knots), len(task.asymmetry), len(task.extinction), dtype=torch.float64)
-    for bags in gather_bags(lattice, view.origin, view.direction, part):
-        columns = table.source[bags.extinction].mean(1).flatten(1)
-        rows = embedding_bag(entry[bags.numbers], columns, per_sample_weights=bags.weights, mode="sum")
-        mean[:, :, bags.extinction] += rows.double().sum(0).unflatten(0, (len(plan.knots), -1)) / len(rays)
-    phase = evaluate_phase_function(view.direction @ view.sun, task.asymmetry[:, None]).double()
-    lit = phase @ single[:, rays].double().T / len(rays)
-    knots = torch.tensor(plan.knots)
-    judged = _shares_beyond(float(task.albedo.max()), lit, mean, knots)
-    bright = _shares_beyond(1.0, lit, mean, knots)
-    small = (judged <= OMITTED_SHARE * task.effort.tolerance) & (bright <= task.effort.tolerance)
-    enough = int(small.nonzero()[0])
-    return Pilot(plan, enough, float(judged[enough]), float(judged[0]), mean)
-
-
-def _shares_beyond(albedo: float, single: Tensor, mean: Tensor, knots: Tensor) -> Tensor:
-    """Share of the light that the images from each on hold, at the node where it is largest `(knot + 1,)`.
-
-    Args:
-        albedo: of the cloud.
-        single: mean of single scattering at albedo one `(asymmetry, extinction)`.
-        mean: of every image `(knot, asymmetry, extinction)`.
-        knots: exponents of the albedo.
-    """
-    energy = (albedo ** knots.double())[:, None, None] * mean
-    beyond = torch.cat([energy.flip(0).cumsum(0).flip(0), torch.zeros_like(single)[None]])
-    return (beyond / (albedo * single + energy.sum(0)).clamp(min=1e-300)).flatten(1).amax(1)
 
 
 def _single_only(task: GroupTask, single: Tensor, multiple: Tensor, pilot: Pilot, clock: _Clock) -> GroupImages:

@@ -30,6 +30,9 @@ DIRECTIONAL_SHARES = (0.3, 0.1)
 RIDGE = 1e-7
 """Added to the normal equations, relative to their diagonal: in thin clouds many features are nearly the same."""
 
+ROWS = 16_384
+"""Points at a time in double precision, which would take as much memory as the source for all of them."""
+
 EMPTY = 1e-12
 """Share of the largest square sum below which a feature is nothing but rounding: it may be zero everywhere, and still needs a ridge."""
 
@@ -118,14 +121,22 @@ class SourceModel:
     """
 
     def __init__(self, features: Tensor, paths: Tensor) -> None:
-        # The normal equations square the condition number: in float32 half of the features would be lost.
-        self._features, self._paths = features.double(), paths[:, None]
-        normal = (self._features * self._paths).T @ self._features
+        self._features, self._paths = features, paths[:, None]
+        normal = self._moments(features)
         diagonal = normal.diagonal()
         diagonal.add_(RIDGE * diagonal.clamp(min=EMPTY * float(diagonal.max())))
         self._factor = torch.linalg.cholesky_ex(normal).L
 
     def expect(self, source: Tensor) -> Tensor:
         """Values of the model `(point, column)` fitted to noisy ones."""
-        moments = self._features.T @ (source.double() * self._paths)
-        return (self._features @ torch.cholesky_solve(moments, self._factor)).to(source.dtype)
+        coefficients = torch.cholesky_solve(self._moments(source), self._factor)
+        return torch.cat([(part.double() @ coefficients).to(source.dtype) for part in self._features.split(ROWS)])
+
+    def _moments(self, values: Tensor) -> Tensor:
+        """Weighted sums over the points of features times values `(feature, column)`, float64.
+
+        The normal equations square the condition number: in float32 half of the features would be lost.
+        """
+        columns = (self._features, values, self._paths)
+        parts = zip(*(column.split(ROWS) for column in columns), strict=True)
+        return torch.stack([of.double().T @ (value.double() * paths) for of, value, paths in parts]).sum(0)

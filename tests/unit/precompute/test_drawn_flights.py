@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from precompute.direction_sets import turned_directions
-from precompute.drawn_flights import FRACTIONS, STEPS, DrawnFlights, draw_flights
+from precompute.drawn_flights import BITS, FRACTIONS, STEPS, DrawnFlights, draw_flights
 from precompute.free_flight import fly
 from precompute.light_lattice import LightLattice, light_lattice_over
 from render.density_grid import DensityGrid
@@ -24,7 +24,7 @@ def ends(lattice: LightLattice, drawn: DrawnFlights, number: int) -> tuple[torch
     """Points whose flights along a direction ended inside, and where."""
     cell, bits = drawn.cell[number], drawn.fraction[number]
     inside = torch.nonzero(cell >= 0).flatten()
-    within = torch.stack([bits >> shift & FRACTIONS for shift in (0, 10, 20)], dim=-1) / FRACTIONS
+    within = torch.stack([bits >> shift & FRACTIONS for shift in (0, BITS, 2 * BITS)], dim=-1) / FRACTIONS
     nx, ny, _ = lattice.lattice.counts
     place = torch.stack([cell % nx, cell // nx % ny, cell // (nx * ny)], dim=-1)
     return inside, (lattice.lattice.corner + (place + within) * lattice.lattice.spacing)[inside]

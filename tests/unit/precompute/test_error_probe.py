@@ -7,7 +7,7 @@ import torch
 
 from precompute import error_probe
 from precompute.error_budget import ALBEDOS
-from precompute.error_probe import PROBE_RAYS, ErrorProbe, SmoothSource, probe_rays
+from precompute.error_probe import PROBE_RAYS, ErrorProbe, ImageErrors, probe_rays
 from precompute.gather import lattice_over
 from precompute.order_plan import close_tail, plan_orders
 from precompute.path_sampler import TableNodes
@@ -54,7 +54,7 @@ class Raw:
 
 
 @cache
-def images(paths: int, smooth: bool) -> tuple[list[list[SmoothSource]], torch.Tensor]:
+def images(paths: int, smooth: bool) -> tuple[list[list[ImageErrors]], torch.Tensor]:
     """Errors by seed and extinction, and images `(seed, extinction, albedo, asymmetry, ray)`, the last albedo one with its tail."""
     view = view_of(GRID, CAMERA, SUN)
     lattice = lattice_over(GRID, 1.0)
@@ -75,8 +75,9 @@ def images(paths: int, smooth: bool) -> tuple[list[list[SmoothSource]], torch.Te
         neighbours = find_neighbours(lattice, numbers, table.paths)
         measured, pictures = [], []
         for node, source in enumerate(table.source):
-            measured.append(probe.smooth(node, source, Raw() if not smooth else neighbours, model))
-            halves = measured[-1].source[:, None].expand(-1, 2, -1, -1)
+            best = probe.smooth(node, source, Raw() if not smooth else neighbours, model)
+            measured.append(best.errors)
+            halves = best.source[:, None].expand(-1, 2, -1, -1)
             chosen = torch.stack([probe.gather(node, halves[:, :, knot])[:, 0] for knot in range(len(knots))], dim=1)
             multiple = torch.einsum("ak,rkg->agr", albedo[:, None] ** knots, chosen)
             ratio, share = close_tail(PLAN, chosen.double().mean(0))

@@ -7,7 +7,7 @@ pytest.importorskip("numba")
 
 from precompute import fused_gather
 from precompute.carried_orders import _gather, _sharpen
-from precompute.drawn_flights import DrawnFlights
+from precompute.drawn_flights import BITS, FRACTIONS, DrawnFlights
 from precompute.fused_gather import gather_flights, sharpen_light
 from precompute.light_lattice import LightLattice, light_lattice_over
 from render.density_grid import DensityGrid
@@ -44,11 +44,11 @@ def random_flights(lattice: LightLattice, seed: int = 8) -> DrawnFlights:
     shape, cells = (DIRECTIONS, len(lattice.numbers)), whole_cells(lattice)
     cell = cells[torch.randint(0, len(cells), shape, generator=generator)]
     cell = torch.where(torch.rand(shape, generator=generator) < 0.2, -1, cell)
-    within = torch.randint(0, 1024, (*shape, 3), generator=generator)
+    within = torch.randint(0, FRACTIONS + 1, (*shape, 3), generator=generator)
     # The ends of a cell, too.
-    within = torch.where(torch.rand(within.shape, generator=generator) < 0.1, 1023, within)
-    fraction = within[..., 0] + (within[..., 1] << 10) + (within[..., 2] << 20)
-    return DrawnFlights(cell.int(), fraction.int(), 0.125 * torch.rand(shape[1], generator=generator))
+    within = torch.where(torch.rand(within.shape, generator=generator) < 0.1, FRACTIONS, within)
+    fraction = within[..., 0] + (within[..., 1] << BITS) + (within[..., 2] << 2 * BITS)
+    return DrawnFlights(cell.int(), fraction.short(), 0.125 * torch.rand(shape[1], generator=generator))
 
 
 def random_light(lattice: LightLattice, first: int) -> torch.Tensor:
@@ -115,8 +115,8 @@ def test_a_flight_to_a_point_brings_its_value() -> None:
     cell = torch.full((1, len(lattice.numbers)), 1 + nx * (2 + ny * 3), dtype=torch.int32)
     counts, brought = torch.tensor(lattice.lattice.counts), torch.empty_like(along)
     # All 1023 of the ten bits along an axis is the far corner there.
-    for fraction, corner in ((0, 0), (1023, 1), (1023 << 10, nx), (1023 << 20, nx * ny)):
-        fractions = torch.full_like(cell, fraction)
+    for fraction, corner in ((0, 0), (FRACTIONS, 1), (FRACTIONS << BITS, nx), (FRACTIONS << 2 * BITS, nx * ny)):
+        fractions = torch.full_like(cell, fraction).short()
         gather_flights(along, lattice.entry, counts, cell, fractions, brought)
         expected = along[0, lattice.entry[int(cell[0, 0]) + corner].long()]
         torch.testing.assert_close(brought[0, 0], expected)

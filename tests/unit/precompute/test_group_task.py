@@ -43,8 +43,17 @@ def test_rough_tables_take_longer_steps() -> None:
 def test_rough_tables_carry_light_on_fewer_points(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(group_task, "ROUGH_POINTS", 500)
     plan = plan_orders(18)
-    rough, fine = (task(20.0, tolerance).carry(plan, 500, lambda share: None) for tolerance in (0.1, 0.02))
-    assert rough is not None
-    assert fine is not None
+    both = []
+    for one in (task(20.0, tolerance) for tolerance in (0.1, 0.02)):
+        lattices = one.lattices(plan.largest_order, 500)
+        assert lattices is not None
+        both.append(one.carry(plan, lattices, 500, lambda share: None))
+    rough, fine = both
     assert rough.points < fine.points
     assert rough.degree < fine.degree
+
+
+def test_few_orders_or_too_deep_a_cloud_are_not_carried() -> None:
+    assert task(20.0, 0.02).lattices(18, 500) is not None
+    assert task(20.0, 0.02).lattices(10, 500) is None
+    assert task(1e4, 0.02).lattices(258, 500) is None

@@ -126,6 +126,14 @@ def test_more_orders_are_traced_for_thicker_clouds_and_smaller_tolerances() -> N
     assert by_tolerance[0] < by_tolerance[-1]
 
 
+def test_orders_that_are_carried_in_thick_groups_leave_none_out() -> None:
+    thin, thick = (build([depth], tolerance=0.1, orders=258) for depth in (12.0, 30.0))
+    assert 1 < thin.report.largest_order < 258
+    assert thin.report.omitted_share > 0.0
+    assert thick.report.carried_points > 0
+    assert (thick.report.largest_order, thick.report.omitted_share) == (258, 0.0)
+
+
 def test_the_orders_left_out_would_not_have_mattered() -> None:
     """The tolerance meets the sum over all orders that a dear build without tolerance has."""
     images = build([0.2, 2.0], tolerance=0.1)
@@ -242,7 +250,7 @@ class ListedErrors:
     def at(self, nodes: Iterable[int]) -> Iterator[SimpleNamespace]:
         for node in nodes:
             self.asked.append(node)
-            yield SimpleNamespace(of_image=torch.full((1, 1), self.errors[node]))
+            yield SimpleNamespace(errors=SimpleNamespace(of_image=torch.full((1, 1), self.errors[node])))
 
 
 @pytest.mark.parametrize(
@@ -260,7 +268,7 @@ def test_a_tolerance_is_met_at_all_extinctions_or_not_at_all(
     smoother = ListedErrors(errors)
 
     def gather() -> tuple[torch.Tensor, list[SimpleNamespace]]:
-        return torch.empty(0), list(smoother.at(range(len(errors))))
+        return torch.empty(0), [one.errors for one in smoother.at(range(len(errors)))]
 
     error, images = source_group._error_so_far(smoother, gather, len(errors), 0.02)  # type: ignore[arg-type]
     assert error == pytest.approx(found)
