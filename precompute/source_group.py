@@ -7,7 +7,7 @@ step and its own set of paths for all of its nodes.
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import torch
@@ -182,14 +182,9 @@ class _Smoother:
                 if features.shape[1] > 1:
                     features = torch.cat([features, self._carried.features_at(node, position)], dim=1)
                 source[:, :, : of_paths.shape[2]] += of_paths
-            smooth = self._probe.smooth(node, source, neighbours, SourceModel(features, table.paths))
-            yield self._sharpen(smooth) if self._task.thick else smooth
+            model = SourceModel(features, table.paths)
+            yield self._probe.smooth(node, source, neighbours, model, self._points, self._task.thick)
             trim_heap()
-
-    def _sharpen(self, smooth: SmoothSource) -> SmoothSource:
-        """Linear interpolation between points cuts peaks; image by image, so that copies of one only are held."""
-        images = smooth.source.unbind(1)
-        return replace(smooth, source=torch.stack([self._points.sharpen(image) for image in images], dim=1))
 
 
 _Images = tuple[Tensor, list[ImageErrors]]

@@ -9,6 +9,7 @@ from precompute import error_probe
 from precompute.error_budget import ALBEDOS
 from precompute.error_probe import PROBE_RAYS, ErrorProbe, ImageErrors, probe_rays
 from precompute.gather import lattice_over
+from precompute.light_lattice import number_points
 from precompute.order_plan import close_tail, plan_orders
 from precompute.path_sampler import TableNodes
 from precompute.single_scattering import compute_single_scattering
@@ -53,6 +54,13 @@ class Raw:
         return [source]
 
 
+class Exact:
+    """Points between which nothing is missed."""
+
+    def sharpen(self, values: torch.Tensor) -> torch.Tensor:
+        return values
+
+
 @cache
 def images(paths: int, smooth: bool) -> tuple[list[list[ImageErrors]], torch.Tensor]:
     """Errors by seed and extinction, and images `(seed, extinction, albedo, asymmetry, ray)`, the last albedo one with its tail."""
@@ -75,7 +83,7 @@ def images(paths: int, smooth: bool) -> tuple[list[list[ImageErrors]], torch.Ten
         neighbours = find_neighbours(lattice, numbers, table.paths)
         measured, pictures = [], []
         for node, source in enumerate(table.source):
-            best = probe.smooth(node, source, Raw() if not smooth else neighbours, model)
+            best = probe.smooth(node, source, Raw() if not smooth else neighbours, model, Exact(), False)
             measured.append(best.errors)
             halves = best.source[:, None].expand(-1, 2, -1, -1)
             chosen = torch.stack([probe.gather(node, halves[:, :, knot])[:, 0] for knot in range(len(knots))], dim=1)
@@ -146,11 +154,43 @@ def test_the_error_of_single_scattering_is_added_in_quadrature() -> None:
         for share in (0.0, 0.03)
     )
     raw = torch.rand(len(view.pixel), 2, len(PLAN.knots), len(ASYMMETRY)) * 0.01
-    nothing = torch.zeros_like(raw)
+    nothing, exact = torch.zeros_like(raw), torch.zeros_like(raw[:, 0])
     for node in range(len(EXTINCTION)):
         torch.testing.assert_close(
-            alone.composed(node, nothing, nothing), torch.full((1, len(ASYMMETRY)), 0.03).double()
+            alone.composed(node, nothing, nothing, exact), torch.full((1, len(ASYMMETRY)), 0.03).double()
         )
-        both, of_multiple = alone.composed(node, raw, raw), without.composed(node, raw, raw)
+        both, of_multiple = alone.composed(node, raw, raw, exact), without.composed(node, raw, raw, exact)
         assert bool((both > of_multiple).all())
         assert bool((both.square() < of_multiple.square() + 0.03**2).all())
+
+
+def test_what_sharpening_would_change_is_added_in_quadrature() -> None:
+    view = view_of(GRID, CAMERA, SUN)
+    lattice = lattice_over(GRID, 1.0)
+    strata = stratify_rays(GRID, view.origin, view.direction, EXTINCTION, 8)
+    single, _ = compute_single_scattering(GRID, view.origin, view.direction, view.sun, EXTINCTION, 0.5, 16)
+    numbers, entry = torch.arange(lattice.size), torch.arange(lattice.size, dtype=torch.int32)
+    once = (single, torch.zeros_like(single))
+    probe = ErrorProbe(view, lattice, entry, strata, once, ASYMMETRY, PLAN, torch.tensor(ALBEDOS))
+    model = SourceModel(torch.ones(len(numbers), 1), torch.ones(len(numbers)))
+    points = number_points(lattice, torch.ones(lattice.size, dtype=torch.bool))
+    # One and the same in both halves: without noise, and with nothing to smooth.
+    half = torch.rand(lattice.size, 1, len(PLAN.knots), len(ASYMMETRY), generator=torch.Generator().manual_seed(3))
+    source = half.expand(-1, 2, -1, -1).contiguous()
+    blind, plain, sharp = (
+        probe.smooth(0, source, Raw(), model, of, sharpened)
+        for of, sharpened in ((Exact(), False), (points, False), (points, True))
+    )
+    assert float(blind.errors.of_image.max()) == 0.0
+    assert torch.equal(plain.source, blind.source)
+    torch.testing.assert_close(sharp.source.flatten(1), points.sharpen(plain.source.flatten(1)))
+    assert torch.equal(plain.errors.of_image, sharp.errors.of_image)
+    powers = torch.tensor(ALBEDOS).double()[:, None] ** torch.tensor(PLAN.knots)
+    both = [probe.gather(0, one.source[:, None].expand(-1, 2, -1, -1).flatten(2)) for one in (plain, sharp)]
+    first, second = (one[:, 0].unflatten(1, (len(PLAN.knots), -1)).double() for one in both)
+    change, whole = (torch.einsum("ak,rkg->rag", powers, one) for one in (second - first, first))
+    phase = evaluate_phase_function(view.direction @ view.sun, ASYMMETRY[:, None])[:, probe.rays]
+    total = whole + torch.tensor(ALBEDOS)[:, None] * (phase * single[0, probe.rays]).T[:, None]
+    expected = (change.square().mean(0) / total.square().mean(0)).sqrt()
+    torch.testing.assert_close(plain.errors.of_image, expected, rtol=1e-4, atol=1e-6)
+    assert float(expected.min()) > 1e-3
