@@ -20,7 +20,7 @@ PROBE_RAYS = 4000
 """Rays on which errors are estimated."""
 
 MANY_POINTS = 50_000
-"""Beyond which freed memory is given back after every image: 0.2 GB less at 100 thousand points, but a tenth of the time of a small table."""
+"""Beyond which freed memory is given back after every image: 0.2 GB less at 100 thousand points, but a tenth of a small table's time."""
 
 
 @dataclass(frozen=True, eq=False)

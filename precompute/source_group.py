@@ -96,16 +96,11 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
         return _single_only(task, single, pilot.complete(torch.empty(0), phase[:, None] * single), pilot, clock)
     effort = pilot.suited(task.effort)
     points = task.points(effort)
-    lattices = task.lattices(pilot.needed.largest_order, points)
-    if task.thick and lattices is not None:
-        pilot = pilot.with_all_orders()
+    pilot, carried = _carry(task, pilot, points, report)
     plan = pilot.needed
+    clock.lap("carried orders")
     lattice, importance = place_points(view, strata, points)
     clock.lap("source points")
-    carried = None
-    if lattices is not None:
-        carried = task.carry(plan, lattices, points, lambda share: report(0.1 + 0.1 * share))
-    clock.lap("carried orders")
     if carried is not None:
         _weigh_by_light(importance, lattice, carried)
     table = _path_table(task, lattice, plan, carried)
@@ -132,6 +127,18 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
         _shares_of_all(table, plan),
         _describe(task, plan, pilot.omitted, table, carried, box_error(image_error), reason, clock),
     )
+
+
+def _carry(
+    task: GroupTask, pilot: Pilot, points: int, report: Callable[[float], None]
+) -> tuple[Pilot, CarriedOrders | None]:
+    """High orders, where they can be carried, and the pilot, which then leaves none out in a thick group."""
+    lattices = task.lattices(pilot.needed.largest_order, points)
+    if lattices is None:
+        return pilot, None
+    if task.thick:
+        pilot = pilot.with_all_orders()
+    return pilot, task.carry(pilot.needed, lattices, points, lambda share: report(0.1 + 0.1 * share))
 
 
 def _path_table(task: GroupTask, lattice: Lattice, plan: OrderPlan, carried: CarriedOrders | None) -> SourceTable:
