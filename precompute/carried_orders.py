@@ -31,7 +31,6 @@ from torch.nn.functional import embedding_bag
 from precompute.direction_sets import DirectionSet, turned_directions
 from precompute.drawn_flights import BITS, FRACTIONS, DrawnFlights, draw_flights
 from precompute.free_flight import march_to_sun
-from precompute.heap import trim_heap
 from precompute.in_threads import map_in_threads
 from precompute.light_lattice import LightLattice, light_lattice_over, spacing_for
 from precompute.order_plan import SEPARATE_ORDERS, OrderPlan, place_knots
@@ -208,7 +207,6 @@ def carry_orders(
         return draw_flights(view.grid, lattices[half], sets[half][turn], extinction, shift, step)
 
     flights = map_in_threads(draw, 2 * count, lambda done: on_progress(0.3 * done / (2 * count)))
-    trim_heap()
 
     def carry(piece: int) -> tuple[Tensor, Tensor]:
         node, half = divmod(piece, 2)
