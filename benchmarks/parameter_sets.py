@@ -1,8 +1,9 @@
 """Random parameter sets of what a fit may search, the table that covers them, and path-traced pixels to compare with."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 
@@ -28,6 +29,9 @@ SETS_SEED, PIXELS_SEED, REFERENCE_SEED = 7, 11, 100
 
 SEEDS_A_ROUND = 1000
 
+KNOWN_WITHIN = 0.2
+"""Deviation over an error up to which it counts as known."""
+
 
 @dataclass(frozen=True)
 class ParameterSet:
@@ -36,6 +40,12 @@ class ParameterSet:
     asymmetry: float
     optical_depth: float
     albedo: float
+
+    def at_node(self, asymmetry: Tensor, optical_depth: Tensor) -> "ParameterSet":
+        """The same at the node of a table that is next to it, of depths in their logarithm."""
+        row = int((asymmetry - self.asymmetry).abs().argmin())
+        column = int((optical_depth.log() - math.log(self.optical_depth)).abs().argmin())
+        return replace(self, asymmetry=float(asymmetry[row]), optical_depth=float(optical_depth[column]))
 
 
 def draw_sets(count: int) -> list[ParameterSet]:
@@ -78,11 +88,19 @@ class Disagreement:
         error: relative RMS over the pixels, the noise of the reference subtracted in quadrature.
         bias: of the mean over the pixels, relative.
         noise: of the reference, relative RMS.
+        deviation: of the error, from the spread of squared differences over the pixels, which holds the noise of the reference as well
+            as the chance of which pixels were traced.
     """
 
     error: float
     bias: float
     noise: float
+    deviation: float
+
+    @property
+    def known(self) -> bool:
+        """Whether the error is known well enough to be compared with."""
+        return self.deviation <= KNOWN_WITHIN * self.error
 
     @property
     def at_least(self) -> float:
@@ -118,11 +136,14 @@ class TracedPixels:
         image = grey_image(stack, one, largest_optical_length(self.grid, self.camera))
         image = image[torch.searchsorted(stack.pixel, pixels)].double()
         power, difference = radiance.square().mean(), image - radiance
-        square = (difference.square().mean() - variance.mean()) / power
+        squares = (difference.square() - variance) / power
+        error = float(squares.mean().clamp(min=0.0).sqrt())
+        of_square = float(squares.std() / math.sqrt(len(squares)))
         return Disagreement(
-            float(square.clamp(min=0.0).sqrt()),
+            error,
             float(difference.mean() / radiance.mean()),
             float((variance.mean() / power).sqrt()),
+            of_square / (2.0 * error) if error > 0.0 else math.sqrt(of_square),
         )
 
     def _trace(self, one: ParameterSet, number: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from benchmarks.common import stopwatch
-from benchmarks.parameter_sets import Disagreement, ParameterSet, TracedPixels, largest_optical_length
+from benchmarks.parameter_sets import KNOWN_WITHIN, Disagreement, ParameterSet, TracedPixels, largest_optical_length
 from benchmarks.synthetic_photograph import sky_gradient
 from cloudfit.colour_histogram import LEVELS, colour_histogram
 from cloudfit.fit_problem import SUNLIGHT_HEADROOM, brightest_radiance, visible_share
@@ -87,11 +87,11 @@ class ReferenceImages:
         if not truth:
             return [f"{about}; not compared with the path tracer"]
         errors, noise = ([getattr(one, name) for one in truth] for name in ("error", "noise"))
-        apart = sum(one.error > one.noise / 4.0 for one in truth)
+        apart = sum(one.known for one in truth)
         return [
             f"{about}; from the path tracer they are {sorted(errors)[len(errors) // 2]:.2%} apart in the median and {max(errors):.2%} at "
-            f"most, the path tracer's own noise of {sorted(noise)[len(noise) // 2]:.2%} subtracted; {apart} of {len(truth)} can be told "
-            "from it"
+            f"most, the path tracer's own noise of {sorted(noise)[len(noise) // 2]:.2%} subtracted; {apart} of {len(truth)} "
+            f"are known within {KNOWN_WITHIN:.0%}"
         ]
 
     def compare(self, stack: ScatteringStack, bins: int) -> tuple[list[Difference], float]:

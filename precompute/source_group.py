@@ -35,6 +35,12 @@ from precompute.source_points import SourceTable, allocate_paths, place_points
 from precompute.view import View
 from render.phase_functions import evaluate_phase_function
 
+UNSEEN_ERROR = 1.3
+"""Error of a thick group whose high orders are carried over what halves and sharpening tell: both halves miss the same between the points
+of their lattices. Measured against path-traced pixels of three clouds under two suns, at optical depths of 35 and 57: 0.9 to 1.6 with
+the lattices of standard quality, 1.3 to 2.0 with those of draft. Neither more spread halves, which are smoothed the more, nor a lattice
+with a third of the points, which is too far from converging, told it better."""
+
 DARKEST = 0.2
 """Light at a point over its mean that paths are spent for at least."""
 
@@ -115,18 +121,27 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
     gather = partial(_gather, view, lattice, entry, strata, smoother)
     multiple, errors, reason = _trace_until_accurate(task, table, importance, smoother, gather, clock, report)
     report(1.0)
-    image_error = torch.stack([one.of_image for one in errors], dim=2)
+    of_knots, image_error, bright_error = _stack_errors(errors, unseen=task.thick and carried is not None)
     if reason is StopReason.PATHS and box_error(image_error) <= (effort.tolerance or 0.0):
         reason = StopReason.TOLERANCE
     return GroupImages(
         single,
         pilot.complete(multiple, phase[:, None] * single),
-        torch.stack([one.of_knots for one in errors], dim=2).to(torch.float32),
-        image_error.to(torch.float32),
-        torch.stack([one.of_bright for one in errors], dim=1).to(torch.float32),
+        of_knots,
+        image_error,
+        bright_error,
         _shares_of_all(table, plan),
         _describe(task, plan, pilot.omitted, table, carried, box_error(image_error), reason, clock),
     )
+
+
+def _stack_errors(errors: list[ImageErrors], unseen: bool) -> tuple[Tensor, Tensor, Tensor]:
+    """Errors of images and of composed images, as `GroupImages` has them, with what halves do not show."""
+    scale = UNSEEN_ERROR if unseen else 1.0
+    of_knots = torch.stack([one.of_knots for one in errors], dim=2)
+    of_image = torch.stack([one.of_image for one in errors], dim=2)
+    of_bright = torch.stack([one.of_bright for one in errors], dim=1)
+    return scale * of_knots.float(), scale * of_image.float(), scale * of_bright.float()
 
 
 def _carry(

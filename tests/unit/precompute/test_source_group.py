@@ -134,6 +134,20 @@ def test_orders_that_are_carried_in_thick_groups_leave_none_out() -> None:
     assert (thick.report.largest_order, thick.report.omitted_share) == (258, 0.0)
 
 
+def test_what_both_halves_of_carried_light_miss_is_in_the_errors_of_thick_groups(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stated = []
+    for unseen in (source_group.UNSEEN_ERROR, 1.0):
+        monkeypatch.setattr(source_group, "UNSEEN_ERROR", unseen)
+        stated.append([build([10.0], tolerance=0.1), build([30.0], tolerance=0.1)])
+    (thin, thick), (plain_thin, plain_thick) = stated
+    assert min(thin.report.carried_points, thick.report.carried_points) > 0
+    torch.testing.assert_close(thin.image_error, plain_thin.image_error)
+    for name in ("standard_error", "image_error", "bright_error"):
+        torch.testing.assert_close(getattr(thick, name), 1.3 * getattr(plain_thick, name))
+
+
 def test_the_orders_left_out_would_not_have_mattered() -> None:
     """The tolerance meets the sum over all orders that a dear build without tolerance has."""
     images = build([0.2, 2.0], tolerance=0.1)
