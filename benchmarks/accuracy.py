@@ -247,16 +247,17 @@ def _row(case: Case, quality: str, found: dict[str, object]) -> tuple[object, ..
         found["peak_mb"],
         f"{summary['median']:.2%}, {summary['largest']:.2%}",
         f"{met} of {len(sets)} (accepted {MET} of {SETS})",
-        _show_ratios([one["estimated"] / max(one["error"], 1e-6) for one in sets if one["known"]]),
+        _show_stated(found),
     )
 
 
-def _show_ratios(ratios: list[float]) -> str:
-    """How many stated errors are about the true ones, of those that are known, and all of them between the extremes."""
-    if not ratios:
+def _show_stated(found: dict[str, object]) -> str:
+    """How many stated errors are about the true ones, of those that are known, and the extremes of their ratios."""
+    if not found["known"]:
         return "none known"
-    right, found = sum(STATED[0] <= ratio <= STATED[1] for ratio in ratios), spread(ratios)
+    sets: list[dict[str, float]] = found["sets"]  # type: ignore[assignment]
+    ratios = spread(one["estimated"] / one["error"] for one in sets if one["known"])
     return (
-        f"{right} of {len(ratios)} known (accepted {STATED_SHARE:.0%}): "
-        f"{found['median']:.2f} [{found['smallest']:.2f}, {found['largest']:.2f}]"
+        f"{found['stated_well']} of {found['known']} known (accepted {STATED_SHARE:.0%}): "
+        f"{ratios['median']:.2f} [{ratios['smallest']:.2f}, {ratios['largest']:.2f}]"
     )
