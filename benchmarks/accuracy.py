@@ -44,7 +44,7 @@ from render.density_grid import DensityGrid
 from render.depth_nodes import depth_coordinate
 from render.interpolation import cubic_weights
 from render.procedural_cloud import build_cumulus
-from render.scattering_stack import BRIGHT_ALBEDO, ScatteringStack
+from render.scattering_stack import ScatteringStack, bright_share
 from render.units import radians_from_degrees
 
 SUNS = {"side": (90.0, 25.0), "back": (10.0, 25.0)}
@@ -228,8 +228,7 @@ def estimated_error(stack: ScatteringStack, one: ParameterSet, extinction: float
     columns = cubic_weights(
         depth_coordinate(tables.extinction, soft), depth_coordinate(torch.tensor([extinction]), soft)
     )[0]
-    bright = min(max((one.albedo - BRIGHT_ALBEDO) / (1.0 - BRIGHT_ALBEDO), 0.0), 1.0)
-    stated = torch.lerp(tables.image_error, tables.bright_error, bright)
+    stated = torch.lerp(tables.image_error, tables.bright_error, bright_share(torch.tensor(one.albedo)))
     return float((rows @ stated @ columns).clamp(min=0.0))
 
 

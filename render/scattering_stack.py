@@ -227,7 +227,7 @@ class ScatteringStack(nn.Module):
         """Relative RMS error of the composed image at the worst of the nodes around each candidate `(population,)`."""
         columns = _surrounding(self.tables.extinction, extinction)
         rows = _surrounding(self.tables.asymmetry, asymmetry)
-        bright = ((albedo - BRIGHT_ALBEDO) / (1.0 - BRIGHT_ALBEDO)).clamp(0.0, 1.0)
+        bright = bright_share(albedo)
         usual, brightest = self.tables.image_error.to(bright), self.tables.bright_error.to(bright)
         around = [torch.lerp(usual[row, column], brightest[row, column], bright) for row in rows for column in columns]
         return torch.stack(around).amax(0)
@@ -235,6 +235,11 @@ class ScatteringStack(nn.Module):
     def is_usable(self, asymmetry: Tensor, extinction: Tensor, albedo: Tensor) -> Tensor:
         """Whether all nodes around each candidate meet the accepted error at its albedo `(population,)` bool."""
         return self.estimated_error(asymmetry, extinction, albedo) <= self.largest_image_error
+
+
+def bright_share(albedo: Tensor) -> Tensor:
+    """How far an error has gone over to that at albedo one, 0..1 of the albedo's shape."""
+    return ((albedo - BRIGHT_ALBEDO) / (1.0 - BRIGHT_ALBEDO)).clamp(0.0, 1.0)
 
 
 def _thin_powers(knots: Tensor) -> Tensor:
