@@ -38,7 +38,7 @@ SHARED_VOLUME = SHARED / "volumes" / "wdas_cloud_sixteenth.npz"
 QUICK_RESOLUTION = 40
 """Voxels along the longest side of the cumulus that quick runs use."""
 
-QUICK_QUALITY = Quality(1.0, Effort(4, 4_000, 40_000, 4), Effort(4, 4_000, 40_000, 4), 4, 6, 10.0)
+QUICK_QUALITY = Quality(1.0, Effort(4, 4_000, 40_000, 4), Effort(4, 4_000, 40_000, 4), 4, 0.7, 10.0)
 """Tables and pictures of quick runs: coarse, and accepted whatever their error."""
 
 SUN_AZIMUTH_DEG, SUN_ELEVATION_DEG = 220.0, 40.0

@@ -15,7 +15,6 @@ from cloudfit.quality import Quality
 from precompute.store import table_key
 from render.camera import Camera
 from render.density_grid import DensityGrid
-from render.depth_nodes import place_depths
 from render.path_tracer import trace_reference
 from render.ray_march import compute_optical_length
 from render.scattering_stack import ScatteringStack
@@ -62,8 +61,7 @@ def _place(uniform: list[float]) -> ParameterSet:
 
 def table_nodes(quality: Quality, largest_optical_length: float) -> tuple[Tensor, Tensor]:
     """Asymmetry and extinction nodes that cover the ranges."""
-    thin, thick = DEPTH
-    extinction = (place_depths(thin, thick, quality.extinction_nodes) / largest_optical_length).float()
+    extinction = (quality.place_depths(*DEPTH) / largest_optical_length).float()
     return torch.linspace(*ASYMMETRY, quality.asymmetry_nodes), extinction
 
 

@@ -21,10 +21,12 @@ from benchmarks.common import (
     tell_progress,
 )
 from benchmarks.mitsuba_peer import VARIANTS
+from benchmarks.parameter_sets import DEPTH
 from benchmarks.stack_build import LOOPS, BuildCost, BuildTask, build
 from benchmarks.stack_peers import compare_peers
 from cloudfit.quality import QUALITIES, Quality
 from precompute.error_budget import Effort
+from render.depth_nodes import step_of_depths
 from render.fused import fused_loops_wanted
 
 SIDES = (64, 96, 128, 192, 256)
@@ -42,7 +44,7 @@ KEPT_RATIO = 1.5
 
 QUICK_EFFORT = Effort(10, 500, 5_000, 4, True, 0.3)
 
-QUICK_QUALITY = Quality(1.0, QUICK_EFFORT, QUICK_EFFORT, 3, 4, 10.0)
+QUICK_QUALITY = Quality(1.0, QUICK_EFFORT, QUICK_EFFORT, 3, 1.2, 10.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -109,7 +111,7 @@ def growth_tasks(base: BuildTask, quick: bool) -> list[tuple[str, str, BuildTask
     for width, height in ((16, 12),) if quick else SIZES:
         tasks.append(("pixels", f"{width} x {height}", replace(base, width=width, height=height)))
     for asymmetries, extinctions in ((2, 3),) if quick else NODES:
-        changed = replace(quality, asymmetry_nodes=asymmetries, extinction_nodes=extinctions)
+        changed = replace(quality, asymmetry_nodes=asymmetries, extinction_step=step_of_depths(*DEPTH, extinctions))
         tasks.append(("nodes", f"{asymmetries} x {extinctions}", replace(base, quality=changed)))
     for orders in (4,) if quick else ORDERS:
         changed = replace(quality, table_effort=replace(effort, orders=orders, tail=orders > 4 and effort.tail))
@@ -162,7 +164,7 @@ MEASURES = {
 
 
 def _nodes(task: BuildTask) -> str:
-    return f"{task.quality.asymmetry_nodes} x {task.quality.extinction_nodes}"
+    return f"{task.quality.asymmetry_nodes} x {len(task.quality.place_depths(*DEPTH))}"
 
 
 def _show(summary: dict[str, float]) -> str:

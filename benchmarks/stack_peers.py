@@ -7,12 +7,12 @@ from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 
 import torch
+from torch import Tensor
 
 from benchmarks.common import Outcome, make_table, scene_with, tell_progress
 from benchmarks.mitsuba_peer import PeerCost, find_mitsuba, measure_peer
 from benchmarks.parameter_sets import DEPTH, Disagreement, ParameterSet
 from benchmarks.stack_build import BuildCost, BuildTask, PeerTask, build_and_compare
-from render.depth_nodes import place_depths
 from render.procedural_cloud import build_cumulus
 
 NODES = (
@@ -53,7 +53,7 @@ def compare_peers(arguments: argparse.Namespace, base: BuildTask, pool: Executor
     scene = scene_with(build_cumulus(base.side), None, base.width, base.height)
     notes = [*NOTES, _describe_stack(cost, disagreements)]
     charges: dict[str, list[Charge]] = {}
-    counts = nodes_by_depth(base.quality.extinction_nodes, base.quality.asymmetry_nodes)
+    counts = nodes_by_depth(base.quality.place_depths(*DEPTH), base.quality.asymmetry_nodes)
     for variant in arguments.variants:
         try:
             peers = [
@@ -109,10 +109,8 @@ NOTES = (
 )
 
 
-def nodes_by_depth(extinctions: int, asymmetries: int) -> list[int]:
+def nodes_by_depth(depths: Tensor, asymmetries: int) -> list[int]:
     """How many nodes of the table each of the `NODES` stands for: those nearest in the logarithm of the optical depth."""
-    thin, thick = DEPTH
-    depths = place_depths(thin, thick, extinctions)
     measured = torch.tensor([node.optical_depth for node in NODES], dtype=torch.float64)
     nearest = (depths.log()[:, None] - measured.log()).abs().argmin(1)
     return [asymmetries * int((nearest == number).sum()) for number in range(len(NODES))]

@@ -5,11 +5,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from benchmarks.parameter_sets import Constant
+from benchmarks.parameter_sets import DEPTH, Constant
 from cloudfit.colour_histogram import LEVELS
 from cloudfit.quality import Quality
 from precompute import group_task, smoothing, source_model
 from precompute.error_budget import Effort
+from render.depth_nodes import step_of_depths
 
 
 @dataclass(frozen=True)
@@ -114,14 +115,14 @@ def _extinction_nodes(base: Setting) -> list[Setting]:
     quality = base.recipe.quality
     return [
         base.with_recipe("extinction nodes", str(count), replace(base.recipe, quality=replaced))
-        for count in _node_counts(quality.extinction_nodes)
-        for replaced in [replace(quality, extinction_nodes=count)]
+        for count in _node_counts(len(quality.place_depths(*DEPTH)))
+        for replaced in [replace(quality, extinction_step=step_of_depths(*DEPTH, count))]
     ]
 
 
 def _node_counts(usual: int) -> tuple[int, int, int]:
     """About half, two thirds and four thirds of the preset's."""
-    return max(2, round(usual / 2)), max(3, round(usual / 1.5)), round(usual * 4 / 3)
+    return max(3, round(usual / 2)), max(4, round(usual / 1.5)), round(usual * 4 / 3)
 
 
 def _strata(base: Setting) -> list[Setting]:

@@ -46,7 +46,7 @@ QUICK_SIZE = (48, 36)
 
 QUICK_EFFORT = Effort(10, 1_000, 10_000, 4, True, 0.2)
 
-QUICK_QUALITY = Quality(1.0, QUICK_EFFORT, QUICK_EFFORT, 4, 6, 10.0)
+QUICK_QUALITY = Quality(1.0, QUICK_EFFORT, QUICK_EFFORT, 4, 0.7, 10.0)
 
 QUICK_KNOBS = ["orders", "smoothing", "storage", "bins", "resolution"]
 
@@ -167,7 +167,7 @@ NOTES = (
 
 def _warm_up(scene: Scene) -> None:
     """Have the fused loops compiled before anything is timed."""
-    quality = Quality(1.0, QUICK_EFFORT, QUICK_EFFORT, 2, 2, 10.0)
+    quality = Quality(1.0, QUICK_EFFORT, QUICK_EFFORT, 2, 2.0, 10.0)
     _build(scene, Recipe(quality, *QUICK_SIZE), 0)
 
 

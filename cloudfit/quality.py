@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass, replace
 
+from torch import Tensor
+
 from precompute.error_budget import Effort
+from render.depth_nodes import count_depths, place_depths
 from render.errors import ParameterError
 
 
@@ -15,7 +18,8 @@ class Quality:
         table_effort: of the stack.
         picture_effort: of each candidate that is rendered again by itself.
         asymmetry_nodes: of the stack, over the searched range.
-        extinction_nodes: of the stack, over the searched range.
+        extinction_step: between extinctions of the stack, at most, over the coordinate of `render.depth_nodes`: the narrower the range
+            of optical depths, the fewer tables.
         largest_image_error: relative RMS error above which a table node is left out of the search.
     """
 
@@ -23,8 +27,12 @@ class Quality:
     table_effort: Effort
     picture_effort: Effort
     asymmetry_nodes: int
-    extinction_nodes: int
+    extinction_step: float
     largest_image_error: float
+
+    def place_depths(self, thin: float, thick: float) -> Tensor:
+        """Largest optical depths of the stack's extinctions between two `(extinction,)`, float64."""
+        return place_depths(thin, thick, count_depths(thin, thick, self.extinction_step))
 
     def limited(self, seconds: float | None) -> "Quality":
         """The same with a limit on the seconds after which a stack gets no further pass of paths."""
@@ -61,7 +69,7 @@ QUALITIES: dict[str, Quality] = {
         Effort(258, 14_000, 300_000, 6, True, 0.10),
         Effort(258, 60_000, 1_000_000, 16, True, 0.05),
         7,
-        7,
+        0.66,
         0.16,
     ),
     "standard": Quality(
@@ -69,7 +77,7 @@ QUALITIES: dict[str, Quality] = {
         Effort(258, 100_000, 3_700_000, 16, True, 0.02),
         Effort(258, 150_000, 3_000_000, 16, True, 0.02),
         11,
-        10,
+        0.46,
         0.08,
     ),
     "reference": Quality(
@@ -77,7 +85,7 @@ QUALITIES: dict[str, Quality] = {
         Effort(258, 200_000, 100_000_000, 24, True, 0.005),
         Effort(258, 400_000, 40_000_000, 24, True, 0.005),
         15,
-        15,
+        0.33,
         0.05,
     ),
 }

@@ -9,7 +9,6 @@ from cloudfit.quality import Quality
 from cloudfit.scene import Scene
 from precompute.scattering_orders import Progress
 from precompute.stack_store import StackReport, load_or_build_stack
-from render.depth_nodes import place_depths
 from render.errors import CameraError
 from render.ray_march import compute_optical_length
 from render.scattering_stack import ScatteringStack
@@ -45,8 +44,7 @@ def prepare_stack(
         raise CameraError(
             "the camera sees no cloud: every view ray misses it or the volume is empty; move the camera or the volume"
         )
-    thin, thick = LARGEST_OPTICAL_DEPTH_RANGE
-    extinction = (place_depths(thin, thick, quality.extinction_nodes) / largest).float()
+    extinction = (quality.place_depths(*LARGEST_OPTICAL_DEPTH_RANGE) / largest).float()
     asymmetry = torch.linspace(*ASYMMETRY_RANGE, quality.asymmetry_nodes)
     tables, report = load_or_build_stack(
         folder, scene.grid, camera, scene.sun_direction, asymmetry, extinction, quality.table_effort, seed, on_progress

@@ -17,13 +17,32 @@ from torch import Tensor
 SOFT_DEPTH = 2.0
 """Optical depth of the longest ray at s_0."""
 
+FEWEST_NODES = 3
+"""Of any table: what is left of a thin cloud's image without the power is nearly a straight line."""
+
 
 def depth_coordinate(extinction: Tensor, soft: Tensor | float) -> Tensor:
     """w of extinctions [1/m], `soft` being s_0 [1/m]."""
     return torch.log1p(extinction / soft)
 
 
+def count_depths(thin: float, thick: float, step: float) -> int:
+    """Nodes that leave at most a step of w between neighbours."""
+    first, last = _range_of_depths(thin, thick)
+    return max(FEWEST_NODES, 1 + math.ceil((last - first) / step))
+
+
+def step_of_depths(thin: float, thick: float, count: int) -> float:
+    """Step of w for which `count_depths` gives so many nodes, three or more."""
+    first, last = _range_of_depths(thin, thick)
+    return (last - first) / (count - 1) * (1.0 + 1e-9)
+
+
 def place_depths(thin: float, thick: float, count: int) -> Tensor:
     """Largest optical depths `(count,)`, float64, evenly spaced in w between two."""
-    first, last = math.log1p(thin / SOFT_DEPTH), math.log1p(thick / SOFT_DEPTH)
+    first, last = _range_of_depths(thin, thick)
     return SOFT_DEPTH * torch.expm1(torch.linspace(first, last, count, dtype=torch.float64))
+
+
+def _range_of_depths(thin: float, thick: float) -> tuple[float, float]:
+    return math.log1p(thin / SOFT_DEPTH), math.log1p(thick / SOFT_DEPTH)

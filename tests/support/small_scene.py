@@ -19,7 +19,7 @@ from render.camera import frame_volume
 from render.density_grid import DensityGrid
 from render.scattering_stack import ScatteringStack
 
-TINY = Quality(0.5, Effort(3, 400, 8_000, 4), Effort(3, 800, 8_000, 4), 3, 5, math.inf)
+TINY = Quality(0.5, Effort(3, 400, 8_000, 4), Effort(3, 800, 8_000, 4), 3, 1.2, math.inf)
 
 
 def ball(resolution: int = 12) -> DensityGrid:

@@ -23,6 +23,7 @@ from cloudfit.quality import QUALITIES
 from cloudfit.scene import Scene
 from precompute import smoothing
 from render.camera import frame_volume
+from render.depth_nodes import place_depths
 from render.image_files import write_mask_png, write_png
 from render.procedural_cloud import build_cumulus
 
@@ -122,7 +123,7 @@ def test_the_growth_of_a_stack_is_shown_with_its_error(tmp_path: Path, capsys: p
 
 
 def test_every_node_of_a_table_is_charged_once_and_noise_falls_with_the_root_of_the_work() -> None:
-    charged = nodes_by_depth(11, 7)
+    charged = nodes_by_depth(place_depths(0.05, 60.0, 11), 7)
     assert sum(charged) == 77
     assert charged[1] > charged[0] > 0  # two of the depths are thin
     assert charged[2] > 0

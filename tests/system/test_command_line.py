@@ -23,13 +23,13 @@ from render.procedural_cloud import build_cumulus
 from render.volume_files import write_volume
 
 PROJECT = Path(__file__).resolve().parents[2]
-TINY = Quality(1.0, Effort(3, 300, 2000, 4), Effort(3, 300, 2000, 4), 3, 4, 100.0)
+TINY = Quality(1.0, Effort(3, 300, 2000, 4), Effort(3, 300, 2000, 4), 3, 1.6, 100.0)
 CAMERA = ["--camera-width", "32", "--camera-height", "24"]
 
 IN_A_PROCESS = """
 from cloudfit import quality
 from precompute.error_budget import Effort
-quality.QUALITIES["draft"] = quality.Quality(1.0, Effort(3, 300, 2000, 4), Effort(3, 300, 2000, 4), 3, 4, 100.0)
+quality.QUALITIES["draft"] = quality.Quality(1.0, Effort(3, 300, 2000, 4), Effort(3, 300, 2000, 4), 3, 1.6, 100.0)
 from cloudfit.cli import main
 main()
 """

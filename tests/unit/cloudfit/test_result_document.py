@@ -112,7 +112,7 @@ def test_a_reason_is_described_without_a_fit(tmp_path: Path) -> None:
 def test_a_preset_has_its_name_and_another_quality_none() -> None:
     assert describe_options(FitOptions(quality=QUALITIES["draft"]))["quality"] == "draft"
     draft = QUALITIES["draft"]
-    custom = Quality(0.3, draft.table_effort, draft.picture_effort, 7, 9, 0.25)
+    custom = Quality(0.3, draft.table_effort, draft.picture_effort, 7, 0.6, 0.25)
     assert describe_options(FitOptions(quality=custom))["quality"] == "custom"
 
 

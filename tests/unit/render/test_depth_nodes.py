@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from render.depth_nodes import SOFT_DEPTH, depth_coordinate, place_depths
+from render.depth_nodes import FEWEST_NODES, SOFT_DEPTH, count_depths, depth_coordinate, place_depths, step_of_depths
 
 
 def test_the_coordinate_is_linear_where_thin_and_logarithmic_where_thick() -> None:
@@ -35,3 +35,22 @@ def test_thick_neighbours_are_closer_than_on_a_logarithmic_scale() -> None:
     assert float(growth[0]) > 10.0
     assert float(growth[3:].max()) < 0.9 * logarithmic
     assert (growth.diff() < 0).all()
+
+
+@pytest.mark.parametrize(("thin", "thick"), [(0.05, 60.0), (0.05, 200.0), (1e-6, 1e4), (30.0, 60.0)])
+@pytest.mark.parametrize("step", [0.1, 0.46, 0.66])
+def test_no_more_nodes_than_a_step_needs(thin: float, thick: float, step: float) -> None:
+    count = count_depths(thin, thick, step)
+    taken = float(depth_coordinate(place_depths(thin, thick, count), SOFT_DEPTH).diff()[0])
+    assert taken <= step * (1.0 + 1e-9)
+    assert count == FEWEST_NODES or taken * (count - 1) / (count - 2) > step
+
+
+def test_thin_clouds_need_few_nodes_and_never_fewer_than_three() -> None:
+    assert count_depths(0.005, 0.05, 0.46) == count_depths(1e-6, 1e-5, 0.1) == count_depths(1.0, 1.0001, 3.0) == 3
+    assert count_depths(0.05, 2.0, 0.46) == 3
+
+
+@pytest.mark.parametrize("count", [3, 4, 10, 57])
+def test_the_step_of_a_number_of_nodes_gives_that_number(count: int) -> None:
+    assert count_depths(0.05, 60.0, step_of_depths(0.05, 60.0, count)) == count
