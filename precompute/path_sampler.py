@@ -25,9 +25,9 @@ from enum import IntEnum
 import torch
 from torch import Tensor
 
-from precompute.free_flight import fly, march_to_sun
 from precompute.order_plan import OrderPlan
 from render.density_grid import DensityGrid
+from render.free_flight import fly, march_to_sun
 from render.phase_functions import evaluate_phase_function, rotate_direction, sample_phase_cosine
 from render.random_streams import counter_uniform
 

@@ -139,7 +139,9 @@ def _assemble(
         bright_error[:, group] = part.bright_error
         start = group.stop
     if effort.tail and effort.orders > SEPARATE_ORDERS and pixels:
-        ratio, last = (values.to(torch.float32) for values in close_tail(plan, multiple.mean(-1, dtype=torch.float64)))
+        # Sums in float32 are good to 1e-6; in float64 they would need a copy of the whole table.
+        mean = multiple.sum(-1).double() / pixels
+        ratio, last = (values.to(torch.float32) for values in close_tail(plan, mean))
     return ScatteringTables(
         width=view.camera.width,
         height=view.camera.height,

@@ -13,9 +13,9 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from precompute.free_flight import DARKEST_DEPTH, march_to_sun
 from precompute.in_threads import map_in_threads
 from render.density_grid import DensityGrid
+from render.free_flight import DARKEST_DEPTH, march_to_sun
 from render.ray_march import RayProfile, interpolate_in_rows, locate_in_rows, march_rays, ray_chunks
 
 LAST_SHARE = 1.0 - 1e-6

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from precompute.free_flight import DARKEST_DEPTH
 from precompute.gather import Lattice, Strata, gather_bags, lattice_over
 from precompute.order_plan import OrderPlan
 from precompute.path_sampler import TableNodes, sample_paths
 from precompute.view import View
 from render.camera import Camera
 from render.density_grid import DensityGrid
+from render.free_flight import DARKEST_DEPTH
 from render.fused import fused_loops_wanted
 from render.random_streams import counter_keys, stream_number
 

@@ -15,7 +15,7 @@ from render.density_grid import DensityGrid
 from render.errors import StoreError
 from render.scattering_stack import ScatteringTables
 
-STACK_VERSION = 14
+STACK_VERSION = 15
 """Raised whenever the numbers that the same arguments give change; older files are then built anew."""
 
 
@@ -115,7 +115,7 @@ def round_tables(tables: ScatteringTables) -> ScatteringTables:
 
 def _pack(tables: ScatteringTables) -> tuple[Tensor, Tensor]:
     """Images relative to their means in half precision, which takes half the space, and the means `(knot, asymmetry, extinction)`."""
-    mean = tables.multiple.double().sum(-1) / max(len(tables.pixel), 1)
+    mean = tables.multiple.sum(-1).double() / max(len(tables.pixel), 1)
     mean = mean.to(torch.float32)
     relative = torch.where(mean[..., None] > 0, tables.multiple / mean[..., None], 0.0)
     return relative.clamp(max=torch.finfo(torch.float16).max).to(torch.float16), mean

@@ -56,7 +56,7 @@ def fly(grid: DensityGrid, position: Tensor, direction: Tensor, optical_length: 
     origin = grid.voxel_coordinates(position + near[:, None] * direction)
     rate = direction / grid.voxel_size * length[:, None]
     if fused_loops_wanted(grid.density, position, direction, optical_length):
-        from precompute.fused_flight import march_flights  # needs numba
+        from render.fused_flight import march_flights  # needs numba
 
         table, target = grid.table, optical_length.expand_as(length)
         collided, travelled, passed = march_flights(table.padded, table.clearance, origin, rate, length, steps, target)

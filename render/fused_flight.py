@@ -1,4 +1,4 @@
-"""Fused twin of the marching loop of `free_flight.fly`; imported only where numba is installed."""
+"""Fused twin of `free_flight.fly` and of its marching loop alone; imported only where numba is installed."""
 
 import math
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from render.fused import run_in_threads
+from render.fused_scattering import HALF, Vector, chord
 from render.fused_trilinear import Floats, interpolate, split_coordinate
 
 CHUNK = 1 << 12
@@ -70,6 +71,28 @@ def march(
         if after == 0.0:
             step += _empty_steps(clearance, x, y, z, fastest)
     return False, np.float32(0.0), np.float32(passed)
+
+
+@njit(nogil=True, cache=True)
+def fly(
+    values: Floats, clearance: Bytes, box: Floats, stride: float, position: Vector, direction: Vector, target: float
+) -> tuple[bool, Vector, float]:
+    """One free flight: whether it ended inside, where, and the optical length passed. `box` holds corners and voxel size."""
+    near, far = chord(box, position, direction)
+    steps = max(math.ceil((far - near) / stride), 1)
+    length = (far - near) / np.float32(steps)
+    if not length > 0.0:
+        return False, position, np.float32(0.0)
+    start = (
+        (position[0] + near * direction[0] - box[0, 0]) / box[2, 0] - HALF,
+        (position[1] + near * direction[1] - box[0, 1]) / box[2, 1] - HALF,
+        (position[2] + near * direction[2] - box[0, 2]) / box[2, 2] - HALF,
+    )
+    rate = (direction[0] / box[2, 0] * length, direction[1] / box[2, 1] * length, direction[2] / box[2, 2] * length)
+    hit, travelled, passed = march(values, clearance, start, rate, length, steps, target)
+    way = near + travelled
+    end = (position[0] + way * direction[0], position[1] + way * direction[1], position[2] + way * direction[2])
+    return hit, end, passed
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -4,6 +4,7 @@ The optical length u = integral of density dt [m] times the extinction [1/m] is 
 density is taken as linear within each step and the optical length as the quadratic that belongs to it.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -11,12 +12,16 @@ import torch
 from torch import Tensor
 
 from render.density_grid import DensityGrid
+from render.free_flight import fly
 
 CAMERA_STEP = 0.5
 """Step along camera and sun rays, in voxels."""
 
 PROFILE_SAMPLES = 1 << 20
 """Samples in flight at once while marching: bounds the memory."""
+
+RAYS_AT_ONCE = 1 << 17
+"""Whole rays likewise, of which a few samples each are held."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +77,10 @@ def ray_chunks(grid: DensityGrid, rays: int, step: float = CAMERA_STEP) -> Itera
 
 
 def compute_optical_length(grid: DensityGrid, origin: Tensor, direction: Tensor, step: float = CAMERA_STEP) -> Tensor:
-    """Optical length of whole rays `(ray,)` [m]; arguments as for `march_rays`."""
+    """Optical length of whole rays `(ray,)` [m]; arguments as for `march_rays`, whose steps all rays share, while each has its own here."""
     parts = [
-        march_rays(grid, origin[rays], direction[rays], step).total for rays in ray_chunks(grid, len(origin), step)
+        fly(grid, *part, torch.full_like(part[0][:, 0], math.inf), step).optical_length
+        for part in zip(origin.split(RAYS_AT_ONCE), direction.split(RAYS_AT_ONCE), strict=True)
     ]
     return torch.cat(parts) if parts else origin.new_zeros(0)
 

@@ -131,7 +131,7 @@ class ScatteringStack(nn.Module):
         self.register_buffer("cos_sun", tables.cos_sun)
         log_nodes = tables.extinction.double().log()
         self.register_buffer("log_single", _safe_log(tables.single) - log_nodes.to(tables.single)[:, None])
-        mean = tables.multiple.double().sum(-1) / max(len(tables.pixel), 1)
+        mean = tables.multiple.sum(-1).double() / max(len(tables.pixel), 1)
         black = mean <= SMALLEST_MEAN
         mean = mean.clamp(min=SMALLEST_MEAN).to(tables.multiple.dtype)
         log_mean = (mean.double().log() - _thin_powers(tables.knots)[:, None, None] * log_nodes).to(mean)

@@ -7,7 +7,7 @@ from scipy import integrate
 
 from precompute.gather import Bags, Lattice, gather_bags, lattice_over
 from render.density_grid import DensityGrid
-from render.ray_march import compute_optical_length
+from render.ray_march import march_rays
 from tests.support.rays import stratify_rays
 from tests.support.volumes import noise_box, random_rays, uniform_box
 
@@ -78,7 +78,7 @@ def test_corners_of_many_points_keep_the_shape() -> None:
 @pytest.mark.parametrize("grid", [uniform_box(), noise_box(sparse=0.5), uniform_box(voxels=(1, 1, 1))])
 def test_weights_sum_to_the_opacity(grid: DensityGrid) -> None:
     rays = random_rays(grid, 60)
-    depth = compute_optical_length(grid, *rays).double() * EXTINCTION.double()[:, None]
+    depth = march_rays(grid, *rays).total.double() * EXTINCTION.double()[:, None]
     for bags in all_bags(grid, lattice_over(grid, 1.0), rays):
         opacity = -torch.expm1(-depth[bags.extinction, bags.rays]).float()
         torch.testing.assert_close(bags.weights.sum(1), opacity, rtol=1e-5, atol=0.0)

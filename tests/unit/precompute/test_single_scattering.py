@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from precompute.free_flight import march_to_sun
 from precompute.single_scattering import compute_single_scattering
 from render.density_grid import DensityGrid
+from render.free_flight import march_to_sun
 from render.ray_march import march_rays
 from tests.support.quadrature import box_single
 from tests.support.volumes import noise_box, random_rays, scaled, smooth_box, towards, uniform_box

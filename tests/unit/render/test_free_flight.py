@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from precompute import free_flight
-from precompute.free_flight import DARKEST_DEPTH, Flight, fly, march_to_sun
+from render import free_flight
 from render.density_grid import DensityGrid
+from render.free_flight import DARKEST_DEPTH, Flight, fly, march_to_sun
 from render.ray_march import compute_optical_length
 from tests.support.statistics import passes_z_test
 from tests.support.volumes import noise_box, ramp_box, random_rays, scaled, towards, uniform_box

@@ -7,9 +7,9 @@ import torch
 
 pytest.importorskip("numba")
 
-from precompute import fused_flight
-from precompute.free_flight import Flight, fly, march_to_sun
+from render import fused_flight
 from render.density_grid import DensityGrid
+from render.free_flight import Flight, fly, march_to_sun
 from render.fused import fused_loops_wanted, torch_loops_only
 from tests.support.volumes import noise_box, ramp_box, towards, uniform_box
 

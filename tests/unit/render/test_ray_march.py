@@ -70,7 +70,13 @@ def test_profiles_rise_from_zero_to_the_total() -> None:
     assert torch.equal(profile.optical_length[:, 0], torch.zeros(100))
     assert (profile.optical_length.diff(dim=1) >= 0.0).all()
     assert torch.equal(profile.total, profile.optical_length[:, -1])
-    assert torch.equal(profile.total, compute_optical_length(grid, origin, direction))
+
+
+def test_whole_rays_are_as_long_as_their_profiles() -> None:
+    grid = noise_box()
+    rays = random_rays(grid, 100)
+    fine = [march_rays(grid, *rays, 0.01).total, compute_optical_length(grid, *rays, 0.01)]
+    torch.testing.assert_close(*fine, rtol=1e-4, atol=1e-4)
 
 
 def test_smaller_steps_come_closer() -> None:
