@@ -29,8 +29,7 @@ from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 from precompute.direction_sets import DirectionSet, turned_directions
-from precompute.drawn_flights import BITS, FRACTIONS, DrawnFlights, draw_flights
-from precompute.free_flight import march_to_sun
+from precompute.drawn_flights import DrawnFlights, draw_flights, locate_ends
 from precompute.in_threads import map_in_threads
 from precompute.light_lattice import LightLattice, light_lattice_over, spacing_for
 from precompute.order_plan import SEPARATE_ORDERS, OrderPlan, place_knots
@@ -38,6 +37,7 @@ from precompute.order_tail import HISTORY, extrapolate_orders
 from precompute.path_sampler import EVERY_ORDER
 from precompute.view import View
 from render.density_grid import DensityGrid
+from render.free_flight import march_to_sun
 from render.fused import fused_loops_wanted
 from render.interpolation import cubic_weights
 from render.random_streams import counter_keys, counter_uniform, stream_number
@@ -360,14 +360,8 @@ def _sharpen_fused(lattice: LightLattice, light: Tensor, spread: Tensor, sharp: 
 
 def _gather(lattice: LightLattice, along: Tensor, flights: DrawnFlights, brought: Tensor) -> None:
     """Values where the flights end."""
-    box = lattice.lattice
-    nx, ny, _ = box.counts
     for values, cell, fraction, result in zip(along, flights.cell, flights.fraction, brought, strict=True):
-        low = cell.clamp(min=0)
-        place = torch.stack([low % nx, low // nx % ny, low // (nx * ny)], dim=-1)
-        parts = [fraction & FRACTIONS, fraction >> BITS & FRACTIONS, fraction >> 2 * BITS]
-        within = torch.stack(parts, dim=-1) / FRACTIONS
-        numbers, weights = lattice.corners(box.corner + (place + within) * box.spacing)
+        numbers, weights = lattice.corners(locate_ends(lattice.lattice, cell.clamp(min=0), fraction))
         weights = weights * (cell >= 0)[:, None]
         result.copy_(embedding_bag(numbers, values, per_sample_weights=weights, mode="sum"))
 

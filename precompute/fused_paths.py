@@ -12,16 +12,14 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from precompute.fused_flight import Bytes, march
 from precompute.path_sampler import ASYMMETRY_DRAW, EXTINCTION_DRAW, Draw
 from render.fused import announce_compilation, run_in_threads
+from render.fused_flight import Bytes, fly
 from render.fused_scattering import (
     GOLDEN,
-    HALF,
     Doubles,
     Floats,
     Vector,
-    chord,
     cosine_between,
     mix,
     phase,
@@ -59,28 +57,6 @@ def _choose(number: float, odds: Doubles) -> int:
         if number < reached:
             return anchor
     return len(odds) - 1
-
-
-@njit(nogil=True, cache=True)
-def _fly(
-    values: Floats, clearance: Bytes, box: Floats, stride: float, position: Vector, direction: Vector, target: float
-) -> tuple[bool, Vector, float]:
-    """One free flight: whether it ended inside, where, and the optical length passed. `box` holds corners and voxel size."""
-    near, far = chord(box, position, direction)
-    steps = max(math.ceil((far - near) / stride), 1)
-    length = (far - near) / np.float32(steps)
-    if not length > 0.0:
-        return False, position, np.float32(0.0)
-    start = (
-        (position[0] + near * direction[0] - box[0, 0]) / box[2, 0] - HALF,
-        (position[1] + near * direction[1] - box[0, 1]) / box[2, 1] - HALF,
-        (position[2] + near * direction[2] - box[0, 2]) / box[2, 2] - HALF,
-    )
-    rate = (direction[0] / box[2, 0] * length, direction[1] / box[2, 1] * length, direction[2] / box[2, 2] * length)
-    hit, travelled, passed = march(values, clearance, start, rate, length, steps, target)
-    way = near + travelled
-    end = (position[0] + way * direction[0], position[1] + way * direction[1], position[2] + way * direction[2])
-    return hit, end, passed
 
 
 @njit(nogil=True, cache=True)
@@ -163,7 +139,7 @@ def _add_vertex(
         of_g[g] = 0.0
         if last[g] >= order:
             of_g[g] = product[g] * phase(cosine, asymmetry[g]) * phase(cosine_sun, asymmetry[g]) * weight
-    sun_length = _fly(values, clearance, box, stride, position, sun, farthest)[2]
+    sun_length = fly(values, clearance, box, stride, position, sun, farthest)[2]
     _connect(order, passed, sun_length, extinction, extinction_anchors, of_s)
     for knot in range(len(shares)):
         if shares[knot] != 0.0:
@@ -195,13 +171,13 @@ def _trace_path(
             first, second = uniform(key, dimension + BRANCH_COSINE), uniform(key, dimension + BRANCH_AZIMUTH)
             turned = turn(sun, lobe, first, second)
             target = -np.float32(math.log(uniform(key, dimension + BRANCH_FLIGHT))) / anchor
-            hit, end, used = _fly(values, clearance, box, stride, position, turned, target)
+            hit, end, used = fly(values, clearance, box, stride, position, turned, target)
             if hit:
                 leg = (turned, cosine_between(direction, turned), passed + used)
                 _add_vertex(medium, table, share, order, end, leg, sun, linked, sums)
         turned = turn(direction, lobe, uniform(key, dimension + COSINE), uniform(key, dimension + AZIMUTH))
         target = -np.float32(math.log(uniform(key, dimension + FLIGHT))) / anchor
-        hit, position, used = _fly(values, clearance, box, stride, position, turned, target)
+        hit, position, used = fly(values, clearance, box, stride, position, turned, target)
         if not hit:
             return
         passed += used

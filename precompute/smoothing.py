@@ -14,6 +14,8 @@ What is smoothed is not the source itself but its difference from a model, see `
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 
 import torch
 from torch import Tensor
@@ -27,6 +29,10 @@ LEVELS = 3
 """Of smoothing; the last one averages over some thousand neighbours."""
 
 
+Taps = tuple[tuple[Tensor, Tensor], ...]
+"""For each axis the neighbours of the points and their weights."""
+
+
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
     """Which source points are averaged.
@@ -37,19 +43,29 @@ class Neighbourhood:
         paths: of each point, the weight of its value `(point, 1)`.
     """
 
-    axes: tuple[tuple[tuple[Tensor, Tensor], ...], ...]
+    axes: tuple[Taps, ...]
     paths: Tensor
 
     def levels(self, source: Tensor, expected: Tensor) -> Iterator[Tensor]:
         """The source, then its difference from what is expected ever more smoothed, then what is expected; all `(point, column)`."""
         yield source
-        weighted, weight = (source - expected) * self.paths, self.paths
-        for axes in self.axes:
-            for neighbours, taps in axes:
-                weighted = embedding_bag(neighbours, weighted, per_sample_weights=taps, mode="sum")
-                weight = embedding_bag(neighbours, weight, per_sample_weights=taps, mode="sum")
+        weighted = (source - expected) * self.paths
+        for axes, weight in zip(self.axes, self._weights, strict=True):
+            weighted = _smooth(axes, weighted)
             yield expected + weighted / weight
         yield expected
+
+    @cached_property
+    def _weights(self) -> list[Tensor]:
+        """Of the points at each level `(point, 1)`, which all columns share."""
+        return list(accumulate(self.axes, lambda weight, axes: _smooth(axes, weight), initial=self.paths))[1:]
+
+
+def _smooth(axes: Taps, values: Tensor) -> Tensor:
+    """Values `(point, column)` averaged along one axis after the other."""
+    for neighbours, taps in axes:
+        values = embedding_bag(neighbours, values, per_sample_weights=taps, mode="sum")
+    return values
 
 
 def find_neighbours(lattice: Lattice, numbers: Tensor, paths: Tensor) -> Neighbourhood:

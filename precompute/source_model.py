@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from precompute.free_flight import fly
 from render.camera import Camera
 from render.density_grid import DensityGrid
+from render.free_flight import fly
 
 MARCHING_STEP = 1.0
 """In voxels, of the optical lengths."""
@@ -31,7 +31,7 @@ RIDGE = 1e-7
 """Added to the normal equations, relative to their diagonal: in thin clouds many features are nearly the same."""
 
 ROWS = 16_384
-"""Points at a time in double precision, which would take as much memory as the source for all of them."""
+"""Points whose sources are held at a time in double precision, for which all of them would take too much memory."""
 
 EMPTY = 1e-12
 """Share of the largest square sum below which a feature is nothing but rounding: it may be zero everywhere, and still needs a ridge."""
@@ -121,7 +121,8 @@ class SourceModel:
     """
 
     def __init__(self, features: Tensor, paths: Tensor) -> None:
-        self._features, self._paths = features, paths[:, None]
+        self._features = [part.double() for part in features.split(ROWS)]
+        self._paths = paths[:, None].split(ROWS)
         normal = self._moments(features)
         diagonal = normal.diagonal()
         diagonal.add_(RIDGE * diagonal.clamp(min=EMPTY * float(diagonal.max())))
@@ -130,13 +131,12 @@ class SourceModel:
     def expect(self, source: Tensor) -> Tensor:
         """Values of the model `(point, column)` fitted to noisy ones."""
         coefficients = torch.cholesky_solve(self._moments(source), self._factor)
-        return torch.cat([(part.double() @ coefficients).to(source.dtype) for part in self._features.split(ROWS)])
+        return torch.cat([(part @ coefficients).to(source.dtype) for part in self._features])
 
     def _moments(self, values: Tensor) -> Tensor:
         """Weighted sums over the points of features times values `(feature, column)`, float64.
 
         The normal equations square the condition number: in float32 half of the features would be lost.
         """
-        columns = (self._features, values, self._paths)
-        parts = zip(*(column.split(ROWS) for column in columns), strict=True)
-        return torch.stack([of.double().T @ (value.double() * paths) for of, value, paths in parts]).sum(0)
+        parts = zip(self._features, values.split(ROWS), self._paths, strict=True)
+        return torch.stack([features.T @ (value.double() * paths) for features, value, paths in parts]).sum(0)

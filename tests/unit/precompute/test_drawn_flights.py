@@ -4,11 +4,13 @@ import pytest
 import torch
 
 from precompute.direction_sets import turned_directions
-from precompute.drawn_flights import BITS, FRACTIONS, STEPS, DrawnFlights, draw_flights
-from precompute.free_flight import fly
+from precompute.drawn_flights import BITS, FRACTIONS, STEPS, DrawnFlights, draw_flights, locate_ends
 from precompute.light_lattice import LightLattice, light_lattice_over
 from render.density_grid import DensityGrid
+from render.free_flight import fly
 from tests.support.volumes import noise_box, uniform_box
+
+pytestmark = pytest.mark.usefixtures("loops")
 
 DIRECTIONS = turned_directions(1, torch.tensor([0.2, 0.5, 0.9]))
 EXTINCTION, STEP = torch.tensor([0.05, 0.3, 2.0]), 0.1
@@ -22,12 +24,8 @@ def flights(grid: DensityGrid, extinction: torch.Tensor = EXTINCTION) -> tuple[L
 
 def ends(lattice: LightLattice, drawn: DrawnFlights, number: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Points whose flights along a direction ended inside, and where."""
-    cell, bits = drawn.cell[number], drawn.fraction[number]
-    inside = torch.nonzero(cell >= 0).flatten()
-    within = torch.stack([bits >> shift & FRACTIONS for shift in (0, BITS, 2 * BITS)], dim=-1) / FRACTIONS
-    nx, ny, _ = lattice.lattice.counts
-    place = torch.stack([cell % nx, cell // nx % ny, cell // (nx * ny)], dim=-1)
-    return inside, (lattice.lattice.corner + (place + within) * lattice.lattice.spacing)[inside]
+    inside = torch.nonzero(drawn.cell[number] >= 0).flatten()
+    return inside, locate_ends(lattice.lattice, drawn.cell[number, inside], drawn.fraction[number, inside])
 
 
 @pytest.mark.parametrize("grid", [noise_box(), noise_box(9, sparse=0.8)])
@@ -69,3 +67,12 @@ def test_one_extinction_s_flights_do_not_depend_on_thinner_ones() -> None:
     assert torch.equal(thick.fraction, all_.fraction)
     torch.testing.assert_close(thick.spread, all_.spread)
     assert float(thick.spread.max()) <= 0.125
+
+
+def test_ends_are_where_their_cells_and_fractions_say() -> None:
+    lattice = light_lattice_over(uniform_box((6.0, 6.0, 6.0), (4, 6, 12)), 1.0, 4000).lattice
+    nx, ny, _ = lattice.counts
+    cell = torch.tensor([0, 2 + nx * (1 + ny * 3)], dtype=torch.int32)
+    fraction = torch.tensor([FRACTIONS << BITS, FRACTIONS + (FRACTIONS << 2 * BITS)], dtype=torch.int16)
+    expected = lattice.corner + torch.tensor([[0.0, 1.0, 0.0], [3.0, 1.0, 4.0]]) * lattice.spacing
+    torch.testing.assert_close(locate_ends(lattice, cell, fraction), expected)
