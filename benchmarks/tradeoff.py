@@ -130,13 +130,20 @@ def _run(arguments: argparse.Namespace, out: Path) -> Outcome:
         references.build()
     tell_progress(f"{arguments.sets} reference images: {seconds[0]:.0f} s")
     truth = references.trace(arguments.pixels, arguments.traced) if arguments.traced else []
-    photographs = FitPhotographs.prepare(arguments, scene, effort, out / "cache")
+    judge = QUICK_EFFORT if arguments.quick else QUALITIES["standard"].picture_effort
+    photographs = FitPhotographs.prepare(arguments, scene, judge, out / "cache")
     _warm_up(scene)
     measured = _measure_all(settings, scene, references, photographs, arguments.repeats)
     drawn = _first_of_each_recipe(measured)
     points = [_point(measured[number]) for number in drawn]
     title = f"{volume}: {base.recipe.width} x {base.recipe.height} tables, {arguments.threads} threads"
-    files = draw_front(points, title, "relative RMS error of the image (median)", out, "tradeoff")
+    files = draw_front(
+        points,
+        title,
+        "relative RMS error of the image, per cent (upper quartile of the parameter sets)",
+        out,
+        "tradeoff",
+    )
     tell_progress(f"plot: {files[0]}")
     front = {drawn[number] for number in pareto_front(points)}
     names = ("quality", "knobs", "sets", "repeats", "pixels", "traced", "fits", "threads")
@@ -224,7 +231,8 @@ def _first_of_each_recipe(measured: list[Measured]) -> list[int]:
 
 def _point(one: Measured) -> Point:
     name = one.setting.knob if one.setting.knob == "preset" else f"{one.setting.knob}: {one.setting.value}"
-    return Point(one.setting.knob, name, one.seconds["median"], max(one.summary("error")["median"], 1e-9))
+    error = 100.0 * one.summary("error")["upper_quartile"]
+    return Point(one.setting.knob, name, one.seconds["median"], max(error, 1e-7))
 
 
 def _as_json(one: Measured, on_front: bool) -> dict[str, object]:

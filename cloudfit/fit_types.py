@@ -8,7 +8,7 @@ from cloudfit.analysis import PhotographAnalysis
 from cloudfit.determination import Determination
 from cloudfit.losses import DEFAULT_LOSS
 from cloudfit.optimisers import DEFAULT_OPTIMISER
-from cloudfit.parameters import Ambient
+from cloudfit.parameters import LARGEST_OPTICAL_DEPTH_RANGE, Ambient
 from cloudfit.quality import QUALITIES, Quality
 
 AIR_STEP = 0.3
@@ -36,6 +36,7 @@ class FitOptions:
 
     Args:
         quality: preset of effort and accuracy.
+        optical_depths: of the densest view ray, thinnest and thickest that are searched; tables cover just these.
         ambient: colour of the ambient light: the sun's (the paper), the sky's, or three more searched parameters.
         transfer: display curve applied to both sides before a histogram, "srgb" or "none".
         optimiser: name in OPTIMISERS.
@@ -66,6 +67,7 @@ class FitOptions:
     loss: str = DEFAULT_LOSS
     search_pixels: int | None = SEARCH_PIXELS
     coarse_air: bool = False
+    optical_depths: tuple[float, float] = LARGEST_OPTICAL_DEPTH_RANGE
 
 
 @dataclass(frozen=True, eq=False)

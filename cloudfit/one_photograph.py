@@ -129,7 +129,12 @@ class StackSource:
         if self.stack is None:
             try:
                 self.stack, self.report = self.stages.prepare_stack(
-                    self.scene, self.options.quality, self.options.seed, self.tables, on_progress
+                    self.scene,
+                    self.options.quality,
+                    self.options.seed,
+                    self.tables,
+                    on_progress,
+                    self.options.optical_depths,
                 )
             except (CloudfitError, OSError) as error:
                 raise StackUnavailableError(str(error)) from error

@@ -77,7 +77,7 @@ QUALITIES: dict[str, Quality] = {
         Effort(258, 100_000, 3_700_000, 16, True, 0.02),
         Effort(258, 150_000, 3_000_000, 16, True, 0.02),
         11,
-        0.46,
+        0.42,
         0.08,
     ),
     "reference": Quality(
@@ -85,7 +85,7 @@ QUALITIES: dict[str, Quality] = {
         Effort(258, 200_000, 100_000_000, 24, True, 0.005),
         Effort(258, 400_000, 40_000_000, 24, True, 0.005),
         15,
-        0.33,
+        0.25,
         0.05,
     ),
 }

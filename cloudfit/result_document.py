@@ -111,6 +111,7 @@ def describe_options(options: FitOptions) -> dict[str, Any]:
     return {
         "quality": quality,
         "quality_settings": asdict(options.quality),
+        "optical_depths": list(options.optical_depths),
         "ambient": options.ambient,
         "transfer": options.transfer,
         "air_refinements": options.air_refinements,

@@ -20,6 +20,7 @@ def prepare_stack(
     seed: int = 0,
     folder: Path | None = None,
     on_progress: Progress = lambda stage, share: None,
+    optical_depths: tuple[float, float] = LARGEST_OPTICAL_DEPTH_RANGE,
 ) -> tuple[ScatteringStack, StackReport]:
     """Build or load the stack that covers the whole search box.
 
@@ -29,12 +30,14 @@ def prepare_stack(
         seed: of the random streams.
         folder: where stacks are kept, or None.
         on_progress: called with a stage and the share of it that is done.
+        optical_depths: of the densest view ray, thinnest and thickest; the narrower, the sooner it is done.
 
     Returns:
         The stack and where it came from.
 
     Raises:
         CameraError: if the camera sees no cloud.
+        ParameterError: for optical depths that do not rise from above zero.
     """
     width = max(1, round(scene.camera.width * quality.table_scale))
     height = max(1, round(scene.camera.height * quality.table_scale))
@@ -44,7 +47,7 @@ def prepare_stack(
         raise CameraError(
             "the camera sees no cloud: every view ray misses it or the volume is empty; move the camera or the volume"
         )
-    extinction = (quality.place_depths(*LARGEST_OPTICAL_DEPTH_RANGE) / largest).float()
+    extinction = (quality.place_depths(*optical_depths) / largest).float()
     asymmetry = torch.linspace(*ASYMMETRY_RANGE, quality.asymmetry_nodes)
     tables, report = load_or_build_stack(
         folder, scene.grid, camera, scene.sun_direction, asymmetry, extinction, quality.table_effort, seed, on_progress

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 from torch import Tensor
 
@@ -136,6 +137,11 @@ class GroupTask:
         if largest_order < FEWEST_CARRIED:
             return None
         return resolving_lattices(self.view.grid, float(self.extinction[-1]), self._carrying_effort(points))
+
+    @cached_property
+    def thick_lattices(self) -> CarryingLattices | None:
+        """What all orders are carried on in a thick group, where it is fine enough."""
+        return self.lattices(self.effort.orders, self.points(self.effort)) if self.thick else None
 
     def carry(
         self, plan: OrderPlan, lattices: CarryingLattices, points: int, on_progress: Callable[[float], None]

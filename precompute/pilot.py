@@ -44,12 +44,11 @@ class Pilot:
         """The orders that are traced."""
         return plan_orders(self.plan.knots[self.enough - 1])
 
-    def with_all_orders(self) -> "Pilot":
-        """The pilot of a group whose higher orders come with those that are carried.
-
-        Its own mean of them is noise, and images between its thickest node and the next group's, which may need them, hang on both.
-        """
-        return replace(self, enough=len(self.plan.knots), omitted=0.0)
+    @classmethod
+    def of_all_orders(cls, orders: int) -> "Pilot":
+        """The pilot of a group that has all orders anyway."""
+        plan = plan_orders(orders)
+        return cls(plan, len(plan.knots), 0.0, 1.0, None)
 
     def suited(self, effort: Effort) -> Effort:
         """The effort that the group's multiple scattering is worth."""
@@ -79,10 +78,14 @@ class Pilot:
 
 
 def fly_pilot(task: GroupTask, strata: Strata, single: Tensor) -> Pilot:
-    """Find out which orders the tolerance needs."""
+    """Find out which orders the tolerance needs.
+
+    In a thick group that carries light all orders come with those that are needed. The pilot's own mean of them would be noise, and images
+    between its thickest node and the next group's, which may need them, hang on both.
+    """
+    if task.effort.tolerance is None or task.thick_lattices is not None:
+        return Pilot.of_all_orders(task.effort.orders)
     plan = plan_orders(task.effort.orders)
-    if task.effort.tolerance is None:
-        return Pilot(plan, len(plan.knots), 0.0, 1.0, None)
     rays = probe_rays(len(task.view.pixel))
     view, part = task.view.part(rays), strata.part(rays)
     lattice, importance = place_points(view, part, PILOT_POINTS)

@@ -102,7 +102,7 @@ def build_group(task: GroupTask, report: Callable[[float], None]) -> GroupImages
         return _single_only(task, single, pilot.complete(torch.empty(0), phase[:, None] * single), pilot, clock)
     effort = pilot.suited(task.effort)
     points = task.points(effort)
-    pilot, carried = _carry(task, pilot, points, report)
+    carried = _carry(task, pilot, points, report)
     plan = pilot.needed
     clock.lap("carried orders")
     lattice, importance = place_points(view, strata, points)
@@ -144,16 +144,12 @@ def _stack_errors(errors: list[ImageErrors], unseen: bool) -> tuple[Tensor, Tens
     return scale * of_knots.float(), scale * of_image.float(), scale * of_bright.float()
 
 
-def _carry(
-    task: GroupTask, pilot: Pilot, points: int, report: Callable[[float], None]
-) -> tuple[Pilot, CarriedOrders | None]:
-    """High orders, where they can be carried, and the pilot, which then leaves none out in a thick group."""
-    lattices = task.lattices(pilot.needed.largest_order, points)
+def _carry(task: GroupTask, pilot: Pilot, points: int, report: Callable[[float], None]) -> CarriedOrders | None:
+    """High orders, where they can be carried."""
+    lattices = task.thick_lattices or task.lattices(pilot.needed.largest_order, points)
     if lattices is None:
-        return pilot, None
-    if task.thick:
-        pilot = pilot.with_all_orders()
-    return pilot, task.carry(pilot.needed, lattices, points, lambda share: report(0.1 + 0.1 * share))
+        return None
+    return task.carry(pilot.needed, lattices, points, lambda share: report(0.1 + 0.1 * share))
 
 
 def _path_table(task: GroupTask, lattice: Lattice, plan: OrderPlan, carried: CarriedOrders | None) -> SourceTable:

@@ -14,6 +14,8 @@ import math
 import torch
 from torch import Tensor
 
+from render.errors import ParameterError
+
 SOFT_DEPTH = 2.0
 """Optical depth of the longest ray at s_0."""
 
@@ -27,7 +29,7 @@ def depth_coordinate(extinction: Tensor, soft: Tensor | float) -> Tensor:
 
 
 def count_depths(thin: float, thick: float, step: float) -> int:
-    """Nodes that leave at most a step of w between neighbours."""
+    """Nodes that leave at most a step of w between neighbours. Raises ParameterError for depths that do not rise from above zero."""
     first, last = _range_of_depths(thin, thick)
     return max(FEWEST_NODES, 1 + math.ceil((last - first) / step))
 
@@ -45,4 +47,6 @@ def place_depths(thin: float, thick: float, count: int) -> Tensor:
 
 
 def _range_of_depths(thin: float, thick: float) -> tuple[float, float]:
+    if not 0.0 < thin < thick < math.inf:
+        raise ParameterError(f"optical depths must rise from above zero to a finite number, not from {thin} to {thick}")
     return math.log1p(thin / SOFT_DEPTH), math.log1p(thick / SOFT_DEPTH)

@@ -121,6 +121,7 @@ def compare(
     camera_type: o.CameraKind = o.CameraType.PINHOLE,
     quality: o.Quality = o.QualityName.STANDARD,
     tolerance: o.Tolerance = None,
+    optical_depths: o.OpticalDepths = o.DEFAULT_OPTICAL_DEPTHS,
     transfer: Transfer = o.TransferName.SRGB,
     ambient: Ambient = o.AmbientName.SUN,
     air_refinements: AirRefinements = o.DEFAULT_AIR_REFINEMENTS,
@@ -162,6 +163,7 @@ def compare(
         tolerance=tolerance,
         loss=loss,
         coarse_air=coarse_air,
+        optical_depths=optical_depths,
     )
     with reported_errors(speaker, RESUME_HINT):
         from cloudfit.batch import TABLES_NAME, available_cores, limit_threads

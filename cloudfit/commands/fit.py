@@ -34,6 +34,8 @@ cloudfit fit beach.jpg --volume cloud.npz --sun-azimuth 220 --sun-elevation 40 -
 
 cloudfit fit photos/ --volume cloud.vdb --mask masks/ --jobs 2 --json > results.json
 
+cloudfit fit cirrus.jpg --volume cirrus.npz --optical-depths 0.01 2
+
 {EXIT_CODES}"""
 
 Photographs = Annotated[
@@ -139,6 +141,7 @@ def fit(
     camera_type: o.CameraKind = o.CameraType.PINHOLE,
     quality: o.Quality = o.QualityName.STANDARD,
     tolerance: o.Tolerance = None,
+    optical_depths: o.OpticalDepths = o.DEFAULT_OPTICAL_DEPTHS,
     transfer: Transfer = o.TransferName.SRGB,
     ambient: Ambient = o.AmbientName.SUN,
     optimiser: Optimiser = o.DEFAULT_OPTIMISER,
@@ -190,6 +193,7 @@ def fit(
         loss,
         coarse_air,
         search_pixels,
+        optical_depths,
     )
     with reported_errors(speaker, RESUME_HINT):
         from cloudfit.batch import BatchSettings

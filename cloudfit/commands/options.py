@@ -51,6 +51,7 @@ DEFAULT_CAMERA_ELEVATION, DEFAULT_FIELD_OF_VIEW = 10.0, 40.0
 
 # As in `cloudfit.fit_types`, which is slow to import; a test compares them.
 DEFAULT_OPTIMISER, DEFAULT_AIR_REFINEMENTS, DEFAULT_LOSS, DEFAULT_SEARCH_PIXELS = "screened_evolution", 2, "l1", 4000
+DEFAULT_OPTICAL_DEPTHS = (0.05, 200.0)
 
 SCENE, CAMERA, SEARCH, RUN = "Scene", "Camera", "Search", "Run"
 
@@ -93,6 +94,15 @@ Tolerance = Annotated[
         min=0.001,
         max=1,
         help="Accepted relative error of the precomputed cloud images, such as 0.05, instead of a preset of --quality.",
+        rich_help_panel=SEARCH,
+    ),
+]
+OpticalDepths = Annotated[
+    tuple[float, float],
+    typer.Option(
+        help="Optical depth of the densest view ray in the thinnest and the thickest cloud that is searched. The tables cover just these: "
+        "those of 0.01 0.1 take a second, for a haze of ice.",
+        metavar="THIN THICK",
         rich_help_panel=SEARCH,
     ),
 ]
@@ -180,6 +190,7 @@ class SearchChoice:
     loss: str = DEFAULT_LOSS
     coarse_air: bool = False
     search_pixels: int = DEFAULT_SEARCH_PIXELS
+    optical_depths: tuple[float, float] = DEFAULT_OPTICAL_DEPTHS
 
     def options(self) -> "FitOptions":
         """The options of a fit. Raises ParameterError for an optimiser or a loss that there is not."""
@@ -204,6 +215,7 @@ class SearchChoice:
             loss=find_loss(self.loss).name,
             coarse_air=self.coarse_air,
             search_pixels=self.search_pixels or None,
+            optical_depths=self.optical_depths,
         )
 
 

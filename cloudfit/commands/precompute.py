@@ -42,6 +42,7 @@ def precompute(
     camera_type: o.CameraKind = o.CameraType.PINHOLE,
     quality: o.Quality = o.QualityName.STANDARD,
     tolerance: o.Tolerance = None,
+    optical_depths: o.OpticalDepths = o.DEFAULT_OPTICAL_DEPTHS,
     max_seconds: MaxSeconds = None,
     seed: o.Seed = 0,
     quiet: o.Quiet = False,
@@ -49,7 +50,7 @@ def precompute(
 ) -> None:
     """Precompute the scattering tables of a scene.
 
-    A fit with the same volume, camera, sun, quality and seed loads them instead of computing them.
+    A fit with the same volume, camera, sun, quality, optical depths and seed loads them instead of computing them.
     """
     speaker = Speaker(quiet)
     choice = o.SceneChoice(
@@ -73,7 +74,7 @@ def precompute(
         speaker.say(f"precomputing {choice.describe()}")
         with speaker.progress() as bars:
             preset = o.choose_quality(quality, tolerance).limited(max_seconds)
-            stack, report = prepare_stack(choice.load(), preset, seed, tables, bars.stage)
+            stack, report = prepare_stack(choice.load(), preset, seed, tables, bars.stage, optical_depths)
         usable = float(stack.usable.float().mean())
         if json:
             print_json(

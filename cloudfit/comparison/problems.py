@@ -155,7 +155,11 @@ class SceneSource:
         def load() -> ScatteringStack:
             self.tables.mkdir(parents=True, exist_ok=True)
             scene = scene_from_record(self.record)
-            return prepare_stack(scene, self.options.quality, self.options.seed, self.tables)[0]
+            options = self.options
+            stack, _ = prepare_stack(
+                scene, options.quality, options.seed, self.tables, optical_depths=options.optical_depths
+            )
+            return stack
 
         return _stacks.get(table_key({**self.dependencies(), "tables": str(self.tables)}), load)
 

@@ -47,7 +47,12 @@ def analyse(photograph: Photograph, labels: Tensor | None) -> PhotographAnalysis
 
 
 def prepare_stack(
-    scene: Scene, quality: Quality, seed: int, folder: Path | None, on_progress: Progress
+    scene: Scene,
+    quality: Quality,
+    seed: int,
+    folder: Path | None,
+    on_progress: Progress,
+    optical_depths: tuple[float, float],
 ) -> tuple[ScatteringStack, StackReport]:
     """A stack of one pixel; each call leaves a line beside the tables."""
     assert folder is not None

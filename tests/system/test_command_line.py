@@ -166,6 +166,20 @@ def test_tables_are_precomputed_for_a_fit_in_two_processes_with_masks(studio: Pa
     assert read_result(studio / "out" / "first")["mask"]["source"] == "user"
 
 
+def test_thin_clouds_are_searched_on_tables_of_their_own(studio: Path) -> None:
+    (studio / "photos" / "broken.jpg").unlink()
+    (studio / "photos" / "bright.png").unlink()
+    thin = ["--tables", str(studio / "tables"), "--optical-depths", "0.01", "0.5", "--json"]
+    made = parse(run(studio, "precompute", "--volume", str(studio / "cloud.npz"), "--quality", "draft", *CAMERA, *thin))
+    assert (made["groups"][0]["thinnest"], made["groups"][-1]["thickest"]) == pytest.approx((0.01, 0.5), rel=1e-4)
+    report = parse(fit(studio, *thin))
+    assert (report["stack"]["file"], report["stack"]["reused"]) == (made["file"], True)
+    assert read_result(studio / "out" / "first")["options"]["optical_depths"] == [0.01, 0.5]
+    refused = fit(studio, "--optical-depths", "2", "0.1")
+    assert refused.exit_code not in (0, 1)
+    assert "must rise from above zero" in refused.stderr
+
+
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_ctrl_c_leaves_finished_photographs_finished_and_says_how_to_go_on(studio: Path, jobs: str) -> None:
     (studio / "photos" / "broken.jpg").unlink()

@@ -143,6 +143,7 @@ def test_the_fingerprint_sees_everything_that_a_result_depends_on() -> None:
         make_question(air_refinements=0),
         make_question(seconds=3.0),
         make_question(quality=QUALITIES["draft"]),
+        make_question(optical_depths=(0.05, 20.0)),
         make_question(scene=small_scene(41.0)),
         make_question(scene=replace(scene, camera=scene.camera.resized(9, 6))),
     ]

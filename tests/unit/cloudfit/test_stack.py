@@ -24,6 +24,14 @@ def test_the_nodes_span_the_search_box_whatever_the_scale_of_the_volume() -> Non
     assert float(tables.soft_extinction) * tables.largest_optical_length == pytest.approx(SOFT_DEPTH)
 
 
+def test_a_narrow_range_of_depths_has_fewer_nodes_that_span_it() -> None:
+    stack, _ = prepare_stack(small_scene(), TINY, 3, optical_depths=(0.01, 0.1))
+    depths = stack.tables.extinction * stack.tables.largest_optical_length
+    assert len(depths) < len(small_stack().tables.extinction)
+    assert float(depths[0]) == pytest.approx(0.01, rel=1e-4)
+    assert float(depths[-1]) == pytest.approx(0.1, rel=1e-4)
+
+
 def test_the_stack_is_smaller_than_the_pictures_by_the_preset() -> None:
     tables, camera = small_stack().tables, small_scene().camera
     assert (tables.width, tables.height) == (camera.width // 2, camera.height // 2)

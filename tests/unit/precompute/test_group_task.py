@@ -57,3 +57,6 @@ def test_few_orders_or_too_deep_a_cloud_are_not_carried() -> None:
     assert task(20.0, 0.02).lattices(18, 500) is not None
     assert task(20.0, 0.02).lattices(10, 500) is None
     assert task(1e4, 0.02).lattices(258, 500) is None
+    assert task(20.0, 0.02).thick_lattices is not None
+    assert task(19.0, 0.02).thick_lattices is None
+    assert task(1e4, 0.02).thick_lattices is None

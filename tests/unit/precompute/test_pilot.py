@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from precompute.error_budget import ALBEDOS, OMITTED_SHARE, Effort
-from precompute.group_task import GroupTask
+from precompute.group_task import THICK_DEPTH, GroupTask
 from precompute.order_plan import plan_orders
 from precompute.pilot import FAINT_SHARE, PILOT_PATHS, PILOT_POINTS, Pilot, fly_pilot
 from precompute.single_scattering import compute_single_scattering
@@ -39,8 +39,8 @@ def test_needed_orders_are_those_of_the_images() -> None:
 
 
 def test_all_orders_leave_nothing_out() -> None:
-    whole = pilot(2).with_all_orders()
-    assert (whole.needed.largest_order, whole.omitted) == (10, 0.0)
+    whole = Pilot.of_all_orders(10)
+    assert (whole.needed.largest_order, whole.omitted, whole.mean) == (10, 0.0, None)
 
 
 def test_images_that_were_not_traced_have_the_means_of_the_pilot_and_the_last_shape() -> None:
@@ -73,3 +73,11 @@ def test_without_a_tolerance_every_order_is_needed_and_nothing_flown() -> None:
     everything = fly(4.0, None)
     assert everything.enough == len(everything.plan.knots)
     assert everything.mean is None
+
+
+def test_thick_groups_that_carry_light_need_no_pilot() -> None:
+    thin, thick = fly(0.9 * THICK_DEPTH, 0.2), fly(THICK_DEPTH, 0.2)
+    assert thin.enough < len(thin.plan.knots)
+    assert thin.mean is not None
+    assert thick.enough == len(thick.plan.knots)
+    assert thick.mean is None

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from render.depth_nodes import FEWEST_NODES, SOFT_DEPTH, count_depths, depth_coordinate, place_depths, step_of_depths
+from render.errors import ParameterError
 
 
 def test_the_coordinate_is_linear_where_thin_and_logarithmic_where_thick() -> None:
@@ -49,6 +50,15 @@ def test_no_more_nodes_than_a_step_needs(thin: float, thick: float, step: float)
 def test_thin_clouds_need_few_nodes_and_never_fewer_than_three() -> None:
     assert count_depths(0.005, 0.05, 0.46) == count_depths(1e-6, 1e-5, 0.1) == count_depths(1.0, 1.0001, 3.0) == 3
     assert count_depths(0.05, 2.0, 0.46) == 3
+
+
+@pytest.mark.parametrize(
+    ("thin", "thick"), [(2.0, 0.5), (1.0, 1.0), (0.0, 1.0), (-1.0, 1.0), (1.0, math.inf), (math.nan, 1.0)]
+)
+def test_depths_that_do_not_rise_from_above_zero_are_refused(thin: float, thick: float) -> None:
+    for call in (count_depths, step_of_depths, place_depths):
+        with pytest.raises(ParameterError, match="must rise from above zero"):
+            call(thin, thick, 3)
 
 
 @pytest.mark.parametrize("count", [3, 4, 10, 57])

@@ -75,3 +75,4 @@ def test_an_unknown_optimiser_is_answered_with_the_known_ones() -> None:
         SearchChoice(loss="magic").options()
     assert SearchChoice(loss="soft_l1", coarse_air=True).options() == FitOptions(loss="soft_l1", coarse_air=True)
     assert all(name in str(caught.value) for name in OPTIMISERS)
+    assert SearchChoice(optical_depths=(0.01, 2.0)).options() == FitOptions(optical_depths=(0.01, 2.0))
