@@ -172,6 +172,7 @@ class TracedPixels:
                 asymmetry=one.asymmetry,
                 albedo=one.albedo,
                 orders=REFERENCE_ORDERS,
+                recorded=1,
                 samples=samples,
                 seed=REFERENCE_SEED + number + SEEDS_A_ROUND * turn,
                 pixels=pixels,

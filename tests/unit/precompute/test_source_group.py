@@ -140,12 +140,11 @@ def test_what_both_halves_of_carried_light_miss_is_in_the_errors_of_thick_groups
     stated = []
     for unseen in (source_group.UNSEEN_ERROR, 1.0):
         monkeypatch.setattr(source_group, "UNSEEN_ERROR", unseen)
-        stated.append([build([10.0], tolerance=0.1), build([30.0], tolerance=0.1)])
-    (thin, thick), (plain_thin, plain_thick) = stated
-    assert min(thin.report.carried_points, thick.report.carried_points) > 0
-    torch.testing.assert_close(thin.image_error, plain_thin.image_error)
-    for name in ("standard_error", "image_error", "bright_error"):
-        torch.testing.assert_close(getattr(thick, name), 1.3 * getattr(plain_thick, name))
+        stated.append([build([depth], tolerance=0.1, paths=1) for depth in (0.5, 10.0, 30.0)])
+    for one, plain, factor in zip(*stated, (1.0, 1.3, 1.3), strict=True):
+        assert (one.report.carried_points > 0) == (factor > 1.0)
+        for name in ("standard_error", "image_error", "bright_error"):
+            torch.testing.assert_close(getattr(one, name), factor * getattr(plain, name))
 
 
 def test_the_orders_left_out_would_not_have_mattered() -> None:
