@@ -28,6 +28,10 @@ SETS_SEED, PIXELS_SEED, REFERENCE_SEED = 7, 11, 100
 
 SEEDS_A_ROUND = 1000
 
+THIN_DEPTH, FINER, LONGER = 2.0, 4.0, 4
+"""Largest optical depth below which references shall have so many times less noise, within so many times the rounds: paths in thin clouds
+are cheap, and errors as small as the noise of the others would only seem to be known."""
+
 KNOWN_WITHIN = 0.2
 """Deviation over an error up to which it counts as known."""
 
@@ -115,7 +119,7 @@ class TracedPixels:
         pixels: how many.
         paths: of one round over all pixels.
         folder: of the references, or None.
-        noise: relative RMS at which no further round is traced.
+        noise: relative RMS at which no further round is traced, but see `THIN_DEPTH`.
         rounds: at most.
     """
 
@@ -151,19 +155,21 @@ class TracedPixels:
         shuffled = torch.randperm(len(seen), generator=torch.Generator().manual_seed(PIXELS_SEED))
         pixels = seen[shuffled[: self.pixels]].sort().values
         samples = max(2, self.paths // len(pixels))
+        thin = one.optical_depth < THIN_DEPTH
+        noise, rounds = (self.noise / FINER, self.rounds * LONGER) if thin else (self.noise, self.rounds)
         question = {
             "grid": self.grid.density,
             "camera": self.camera,
             "sun": self.sun,
             "pixels": pixels,
-            "values": (one.asymmetry, one.optical_depth, one.albedo, samples, number, self.noise, self.rounds),
+            "values": (one.asymmetry, one.optical_depth, one.albedo, samples, number, noise, rounds),
         }
         file = None if self.folder is None else self.folder / f"reference-{table_key(question)[:16]}.npz"
         if file is not None and file.exists():
             kept = np.load(file)
             return pixels, torch.from_numpy(kept["radiance"]), torch.from_numpy(kept["variance"])
         means, variances = [], []
-        for turn in range(self.rounds):
+        for turn in range(rounds):
             image = trace_reference(
                 self.grid,
                 self.camera,
@@ -181,7 +187,7 @@ class TracedPixels:
             variances.append(image.radiance_variance[pixels].double())
             radiance = torch.stack(means).mean(0)
             variance = torch.stack(variances).mean(0) / len(means)
-            if float((variance.mean() / radiance.square().mean()).sqrt()) <= self.noise:
+            if float((variance.mean() / radiance.square().mean()).sqrt()) <= noise:
                 break
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)

@@ -10,7 +10,7 @@ from precompute.gather import Lattice, Strata, gather_bags
 from precompute.heap import trim_heap
 from precompute.light_lattice import LightLattice
 from precompute.order_plan import SEPARATE_ORDERS, OrderPlan, close_tail
-from precompute.smoothing import LevelErrors, Neighbourhood, measure_levels
+from precompute.smoothing import LevelErrors, Neighbourhood, measure_levels, steady_changes
 from precompute.source_model import SourceModel
 from precompute.view import View
 from render.phase_functions import evaluate_phase_function
@@ -53,6 +53,23 @@ class SmoothSource:
 
     source: Tensor
     errors: ImageErrors
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedImages:
+    """Images of the rays at one extinction.
+
+    Args:
+        smooth: with the smoothing that was chosen `(ray, half, knot, asymmetry)`.
+        change: of them by it, likewise.
+        steady: the same as `steady_changes` tells it, likewise.
+        missed: what interpolation between the points may have missed of them `(ray, knot, asymmetry)`.
+    """
+
+    smooth: Tensor
+    change: Tensor
+    steady: Tensor
+    missed: Tensor
 
 
 class ErrorProbe:
@@ -99,36 +116,29 @@ class ErrorProbe:
         rows = [embedding_bag(bag, source, per_sample_weights=weights, mode="sum") for bag, weights in self._bags[node]]
         return torch.cat(rows).unflatten(1, (2, -1))
 
-    def composed(self, node: int, raw: Tensor, smooth: Tensor, missed: Tensor) -> Tensor:
-        """Relative RMS error of composed images `(albedo, asymmetry)`.
+    def composed(self, node: int, smoothed: SmoothedImages) -> Tensor:
+        """Relative RMS error of composed images `(albedo, asymmetry)` at one extinction."""
+        powers = self._powers[:, None, :, None].expand(-1, 2, -1, smoothed.smooth.shape[3])
+        return self._weighted(node, smoothed, self._albedo, powers)
 
-        Args:
-            node: number of the extinction.
-            raw: images without smoothing `(ray, half, knot, asymmetry)`.
-            smooth: with it, likewise.
-            missed: what interpolation between the points may have missed of them `(ray, knot, asymmetry)`.
-        """
-        powers = self._powers[:, None, :, None].expand(-1, 2, -1, raw.shape[3])
-        return self._weighted(node, raw, smooth, missed, self._albedo, powers)
-
-    def brightest(self, node: int, raw: Tensor, smooth: Tensor, missed: Tensor) -> Tensor:
+    def brightest(self, node: int, smoothed: SmoothedImages) -> Tensor:
         """The same at albedo one `(asymmetry,)`; each half closes its tail by itself, since a noisy decay makes a noisy tail."""
+        smooth = smoothed.smooth
         powers = torch.ones(1, *smooth.shape[1:], dtype=torch.float64)
         if self._tail and self._plan.largest_order > SEPARATE_ORDERS:
             ratio, share = close_tail(self._plan, smooth.double().mean(0).movedim(1, 0))
             beyond = sum_tail(ratio.flatten(), self._plan.largest_order).unflatten(0, ratio.shape)
             powers[0, :, -1] += share * beyond
-        return self._weighted(node, raw, smooth, missed, torch.ones(1, dtype=torch.float64), powers)[0]
+        return self._weighted(node, smoothed, torch.ones(1, dtype=torch.float64), powers)[0]
 
-    def _weighted(
-        self, node: int, raw: Tensor, smooth: Tensor, missed: Tensor, albedo: Tensor, powers: Tensor
-    ) -> Tensor:
+    def _weighted(self, node: int, smoothed: SmoothedImages, albedo: Tensor, powers: Tensor) -> Tensor:
         """Relative RMS error `(albedo, asymmetry)` of images with weights `(albedo, half, knot, asymmetry)`."""
-        of_raw, of_smooth = (torch.einsum("ahkg,rhkg->rhag", powers, image.double()) for image in (raw, smooth))
-        errors = LevelErrors.of(of_raw, of_smooth)
+        images = (smoothed.smooth, smoothed.change, smoothed.steady)
+        of_smooth, *changes = (torch.einsum("ahkg,rhkg->rhag", powers, image.double()) for image in images)
+        errors = LevelErrors.of(of_smooth, *changes)
         total = albedo[:, None] * self._single[:, node].T[:, None] + of_smooth.mean(1)
         of_single = albedo[:, None].square() * self._single_error[:, node].square().mean(1)
-        of_points = torch.einsum("akg,rkg->rag", powers.mean(1), missed.double()).square().mean(0)
+        of_points = torch.einsum("akg,rkg->rag", powers.mean(1), smoothed.missed.double()).square().mean(0)
         return relative_error(errors.total + of_points + of_single, total.square().mean(0))
 
     def smooth(
@@ -152,27 +162,27 @@ class ErrorProbe:
             points: the source points.
             sharpened: whether the result is to be.
         """
-        result, of_knots, raw, smooth, missed = [], [], [], [], []
+        result, of_knots, seen = [], [], list[tuple[Tensor, Tensor, Tensor, Tensor]]()
         for knot in range(source.shape[2]):
             columns = source[:, :, knot].flatten(1)
             levels = [level.unflatten(1, (2, -1)) for level in neighbours.levels(columns, model.expect(columns))]
             images = [self.gather(node, level) for level in levels]
             squares = measure_levels(images).total
             best = squares.argmin(0)
-            raw.append(images[0])
-            smooth.append(_choose(images, best))
             plain = _choose(levels, best).mean(1)
             sharp = points.sharpen(plain)
-            missed.append(self.gather(node, torch.stack([plain, sharp], dim=1)).diff(dim=1)[:, 0])
-            power = smooth[-1].double().mean(1).square().mean(0)
-            square = squares.gather(0, best[None])[0] + missed[-1].double().square().mean(0)
+            missed = self.gather(node, torch.stack([plain, sharp], dim=1)).diff(dim=1)[:, 0]
+            smooth = _choose(images, best)
+            seen.append((smooth, smooth - images[0], _choose(steady_changes(images), best), missed))
+            power = smooth.double().mean(1).square().mean(0)
+            square = squares.gather(0, best[None])[0] + missed.double().square().mean(0)
             of_knots.append(relative_error(square, power))
             result.append(sharp if sharpened else plain)
             del columns, levels, plain, sharp
             if len(source) > MANY_POINTS:
                 trim_heap()
-        seen = torch.stack(raw, dim=2), torch.stack(smooth, dim=2), torch.stack(missed, dim=1)
-        errors = ImageErrors(torch.stack(of_knots), self.composed(node, *seen), self.brightest(node, *seen))
+        smoothed = SmoothedImages(*(torch.stack(images, dim=-2) for images in zip(*seen, strict=True)))
+        errors = ImageErrors(torch.stack(of_knots), self.composed(node, smoothed), self.brightest(node, smoothed))
         return SmoothSource(torch.stack(result, dim=1), errors)
 
 

@@ -60,6 +60,12 @@ ROUGH_TOLERANCE = 0.05
 ROUGH_POINTS, ROUGH_DEGREE, ROUGH_SETS, ROUGH_COARSEST, ROUGH_CELL, ROUGH_STEP = 8000, 2, 2, 1.0 / 20.0, 5.0, 2.0
 """What `CARRIED_POINTS` and the others are then, and the factor on the marching step."""
 
+UNSEEN_ERROR, ROUGH_UNSEEN_ERROR = 1.3, (1.5, 1.8)
+"""Error of a group that carries light over what halves and sharpening tell, and the same for tolerances above `ROUGH_TOLERANCE`, in a thin
+group and a thick one: both halves miss the same between the points of their lattices. Measured against path-traced pixels of three
+clouds under two suns: 0.9 to 1.8, and 1.0 to 2.2 and 1.5 to 2.2. Neither more spread halves, which are smoothed the more, nor
+a lattice with a third of the points, which is too far from converging, told it better."""
+
 FEWEST_CARRIED = 18
 """Largest order from which on carrying pays: paths in thin clouds are short anyway."""
 
@@ -116,6 +122,11 @@ class GroupTask:
         """Pieces of a ray between which single scattering is integrated."""
         wanted = 0.0 if self.effort.tolerance is None else SECTIONS_AT_ONE / self.effort.tolerance
         return max(SECTIONS_PER_STRATUM * self.strata, math.ceil(wanted * min(1.0, math.sqrt(self.depth / THIN_DEPTH))))
+
+    @property
+    def unseen_error(self) -> float:
+        """Error of the group over what can be told, if it carries light."""
+        return ROUGH_UNSEEN_ERROR[self.thick] if self._rough else UNSEEN_ERROR
 
     def points(self, effort: Effort) -> int:
         """Source points that an effort gives the group."""

@@ -35,12 +35,6 @@ from precompute.source_points import SourceTable, allocate_paths, place_points
 from precompute.view import View
 from render.phase_functions import evaluate_phase_function
 
-UNSEEN_ERROR = 1.3
-"""Error of a group whose high orders are carried over what halves and sharpening tell: both halves miss the same between the points
-of their lattices. Measured against path-traced pixels of three clouds under two suns, at optical depths of 35 and 57: 0.9 to 1.6 with
-the lattices of standard quality, 1.3 to 2.0 with those of draft; at depths of 3 to 9 it is 0.9 to 1.4 and 1.5 to 1.7. Neither more spread
-halves, which are smoothed the more, nor a lattice with a third of the points, which is too far from converging, told it better."""
-
 DARKEST = 0.2
 """Light at a point over its mean that paths are spent for at least."""
 
@@ -201,7 +195,7 @@ class _Smoother:
                 source[:, :, : of_paths.shape[2]] += of_paths
             model = SourceModel(features, table.paths)
             smooth = self._probe.smooth(node, source, neighbours, model, self._points, self._task.thick)
-            unseen = 1.0 if self._carried is None else UNSEEN_ERROR
+            unseen = 1.0 if self._carried is None else self._task.unseen_error
             yield replace(smooth, errors=smooth.errors.times(unseen))
             trim_heap()
 

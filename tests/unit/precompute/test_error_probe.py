@@ -7,13 +7,13 @@ import torch
 
 from precompute import error_probe
 from precompute.error_budget import ALBEDOS
-from precompute.error_probe import PROBE_RAYS, ErrorProbe, ImageErrors, probe_rays
+from precompute.error_probe import PROBE_RAYS, ErrorProbe, ImageErrors, SmoothedImages, probe_rays
 from precompute.gather import lattice_over
 from precompute.light_lattice import number_points
 from precompute.order_plan import close_tail, plan_orders
 from precompute.path_sampler import TableNodes
 from precompute.single_scattering import compute_single_scattering
-from precompute.smoothing import find_neighbours
+from precompute.smoothing import LEVELS, find_neighbours
 from precompute.source_model import SourceModel
 from precompute.source_points import SourcePoints, SourceTable
 from precompute.view import view_of
@@ -48,10 +48,10 @@ SEEDS = 12
 
 
 class Raw:
-    """Neighbours whose only level of smoothing is none."""
+    """Neighbours whose levels of smoothing change nothing."""
 
     def levels(self, source: torch.Tensor, expected: torch.Tensor) -> list[torch.Tensor]:
-        return [source]
+        return [source] * (LEVELS + 2)
 
 
 class Exact:
@@ -125,8 +125,9 @@ def test_errors_with_smoothing_count_its_bias() -> None:
     truth = images(256, False)[1].mean(0)
     real, found = true_error(16, True, truth), estimated(16, True)
     ratio = found / real
-    assert 0.75 < float(ratio.log().mean().exp()) < 1.2
-    assert 0.5 < float(ratio.min()) < float(ratio.max()) < 2.0
+    # Changes told from the first level miss some of its own: here a level reaches as far as light varies.
+    assert 0.6 < float(ratio.log().mean().exp()) < 1.2
+    assert 0.4 < float(ratio.min()) < float(ratio.max()) < 2.0
     assert float((real / true_error(16, False, truth)).log().mean().exp()) < 0.8
 
 
@@ -155,11 +156,10 @@ def test_the_error_of_single_scattering_is_added_in_quadrature() -> None:
     )
     raw = torch.rand(len(view.pixel), 2, len(PLAN.knots), len(ASYMMETRY)) * 0.01
     nothing, exact = torch.zeros_like(raw), torch.zeros_like(raw[:, 0])
+    dark, noisy = (SmoothedImages(image, nothing, nothing, exact) for image in (nothing, raw))
     for node in range(len(EXTINCTION)):
-        torch.testing.assert_close(
-            alone.composed(node, nothing, nothing, exact), torch.full((1, len(ASYMMETRY)), 0.03).double()
-        )
-        both, of_multiple = alone.composed(node, raw, raw, exact), without.composed(node, raw, raw, exact)
+        torch.testing.assert_close(alone.composed(node, dark), torch.full((1, len(ASYMMETRY)), 0.03).double())
+        both, of_multiple = alone.composed(node, noisy), without.composed(node, noisy)
         assert bool((both > of_multiple).all())
         assert bool((both.square() < of_multiple.square() + 0.03**2).all())
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from precompute import source_group
+from precompute import group_task, source_group
 from precompute.error_budget import ALBEDOS, OMITTED_SHARE, Effort, StopReason, box_error
 from precompute.group_task import LARGEST_STEP, SMALLEST_STEP, THIN_POINTS, THINNEST_ANCHOR, GroupTask
 from precompute.light_lattice import LightLattice
@@ -134,14 +134,15 @@ def test_orders_that_are_carried_in_thick_groups_leave_none_out() -> None:
     assert (thick.report.largest_order, thick.report.omitted_share) == (258, 0.0)
 
 
-def test_what_both_halves_of_carried_light_miss_is_in_the_errors_of_thick_groups(
+def test_what_both_halves_of_carried_light_miss_is_in_the_errors_of_groups_that_carry_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     stated = []
-    for unseen in (source_group.UNSEEN_ERROR, 1.0):
-        monkeypatch.setattr(source_group, "UNSEEN_ERROR", unseen)
+    factors = group_task.ROUGH_UNSEEN_ERROR
+    for unseen in (factors, (1.0, 1.0)):
+        monkeypatch.setattr(group_task, "ROUGH_UNSEEN_ERROR", unseen)
         stated.append([build([depth], tolerance=0.1, paths=1) for depth in (0.5, 10.0, 30.0)])
-    for one, plain, factor in zip(*stated, (1.0, 1.3, 1.3), strict=True):
+    for one, plain, factor in zip(*stated, (1.0, *factors), strict=True):
         assert (one.report.carried_points > 0) == (factor > 1.0)
         for name in ("standard_error", "image_error", "bright_error"):
             torch.testing.assert_close(getattr(one, name), factor * getattr(plain, name))
