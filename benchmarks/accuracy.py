@@ -154,7 +154,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     )
     notes = (
         f"reference: up to {arguments.rounds} times {arguments.paths} paths over {arguments.pixels} pixels to order {REFERENCE_ORDERS}, "
-        f"until its noise is {arguments.noise:.1%}; below an optical depth of {THIN_DEPTH} up to {LONGER} times as many for {FINER:.0f} times less",
+        f"until its noise is {arguments.noise:.1%}"
+        f", {FINER:.0f} times less in up to {LONGER} times as many below an optical depth of {THIN_DEPTH}",
         f"compared at {arguments.at} {'sets' if arguments.at == 'random' else 'next to the random sets'}",
         f"errors are relative RMS errors over pixels; known ones have a deviation of at most {KNOWN_WITHIN:.0%}",
     )
