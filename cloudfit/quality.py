@@ -66,7 +66,7 @@ def quality_for(tolerance: float) -> Quality:
 QUALITIES: dict[str, Quality] = {
     "draft": Quality(
         0.25,
-        Effort(258, 14_000, 300_000, 6, True, 0.10),
+        Effort(258, 14_000, 330_000, 6, True, 0.10),
         Effort(258, 60_000, 1_000_000, 16, True, 0.05),
         7,
         0.66,
@@ -74,7 +74,7 @@ QUALITIES: dict[str, Quality] = {
     ),
     "standard": Quality(
         0.5,
-        Effort(258, 100_000, 3_700_000, 16, True, 0.02),
+        Effort(258, 100_000, 3_900_000, 16, True, 0.02),
         Effort(258, 150_000, 3_000_000, 16, True, 0.02),
         11,
         0.42,

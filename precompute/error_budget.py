@@ -124,7 +124,8 @@ def next_pass(effort: Effort, done: int, error: float, seconds: float, seconds_a
     wanted = min(max(round(done * ((error / effort.tolerance) ** 2 - 1.0)), least), round(MOST_GROWTH * done))
     if effort.paths - done < least:
         return StopReason.PATHS
-    wanted = min(wanted, effort.paths - done)
+    if effort.paths - done - wanted < LEAST_GROWTH * (done + wanted):
+        wanted = effort.paths - done  # the rest would be too few for a pass of their own
     if effort.max_seconds is not None:
         affordable = int((effort.max_seconds - seconds) / seconds_a_path)
         if affordable < least:

@@ -26,6 +26,9 @@ Progress = Callable[[str, float], None]
 GROUP_EDGES = (2.0, 20.0, 64.0, 128.0)
 """Largest optical depths at which a new group of extinction nodes begins."""
 
+FEWEST_PATHS = 6
+"""Of a group for each of the effort's source points, where a tolerance is asked for: halves of fewer hardly tell what smoothing changes."""
+
 DEEP_WEIGHT = 2.0
 """Of nodes beyond the last of them, where no lattice is fine enough to carry light and paths go on to the last order."""
 
@@ -81,7 +84,8 @@ def _effort_of_group(effort: Effort, share: float, before: list[GroupImages]) ->
     seconds = sum(sum(part.report.seconds.values()) for part in before)
     # Once the time is up a group still gets its first pass.
     limit = None if effort.max_seconds is None else max(share * (effort.max_seconds - seconds), 1e-3)
-    return replace(effort, paths=max(1, round(share * paths)), max_seconds=limit)
+    fewest = 1 if effort.tolerance is None else min(effort.paths, FEWEST_PATHS * effort.points)
+    return replace(effort, paths=max(fewest, round(share * paths)), max_seconds=limit)
 
 
 def _check_nodes(asymmetry: Tensor, extinction: Tensor) -> None:

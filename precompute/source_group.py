@@ -195,8 +195,7 @@ class _Smoother:
                 source[:, :, : of_paths.shape[2]] += of_paths
             model = SourceModel(features, table.paths)
             smooth = self._probe.smooth(node, source, neighbours, model, self._points, self._task.thick)
-            unseen = 1.0 if self._carried is None else self._task.unseen_error
-            yield replace(smooth, errors=smooth.errors.times(unseen))
+            yield replace(smooth, errors=smooth.errors.times(self._task.unseen_error))
             trim_heap()
 
 
