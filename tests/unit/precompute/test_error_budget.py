@@ -78,6 +78,11 @@ def test_the_paths_may_be_spent() -> None:
     assert following(done=600_000) == 400_000
 
 
+def test_a_rest_too_small_for_a_pass_is_spent_with_the_one_before() -> None:
+    """300 thousand would follow 500 thousand after the 200 thousand so far, and a pass adds half of what there is."""
+    assert following(done=200_000, error=0.05 * math.sqrt(3.5)) == 800_000
+
+
 def test_the_time_may_be_up() -> None:
     assert following(max_seconds=100.0) == 300_000
     assert following(max_seconds=3.0) == pytest.approx(200_000, abs=1)

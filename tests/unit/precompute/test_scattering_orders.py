@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from precompute.error_budget import Effort
-from precompute.scattering_orders import GROUP_EDGES, build_scattering_stack
+from precompute.scattering_orders import FEWEST_PATHS, GROUP_EDGES, _effort_of_group, build_scattering_stack
 from render.camera import Camera, OrthographicCamera, PinholeCamera, frame_volume
 from render.density_grid import DensityGrid
 from render.errors import ParameterError
@@ -196,6 +196,22 @@ def test_batches_of_paths_are_no_part_of_the_result(monkeypatch: pytest.MonkeyPa
     expected = build()
     monkeypatch.setattr("precompute.source_points.LANES", 64)
     torch.testing.assert_close(build().multiple, expected.multiple, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("share", "paths", "tolerance", "expected"),
+    [
+        (0.5, 40_000, 0.02, 20_000),
+        (0.001, 40_000, 0.02, 200 * FEWEST_PATHS),
+        (0.001, 500, 0.02, 500),
+        (0.001, 40_000, None, 40),
+    ],
+)
+def test_every_group_has_paths_enough_to_tell_its_errors(
+    share: float, paths: int, tolerance: float | None, expected: int
+) -> None:
+    effort = Effort(points=200, paths=paths, tolerance=tolerance)
+    assert _effort_of_group(effort, share, []).paths == expected
 
 
 CLOSED = Effort(orders=18, points=200, paths=40_000, strata=8, tail=True, tolerance=0.08)
