@@ -60,11 +60,11 @@ ROUGH_TOLERANCE = 0.05
 ROUGH_POINTS, ROUGH_DEGREE, ROUGH_SETS, ROUGH_COARSEST, ROUGH_CELL, ROUGH_STEP = 8000, 2, 2, 1.0 / 20.0, 5.0, 2.0
 """What `CARRIED_POINTS` and the others are then, and the factor on the marching step."""
 
-UNSEEN_ERROR, ROUGH_UNSEEN_ERROR = 1.3, (1.5, 1.8)
-"""Error of a group over what halves and sharpening tell, and the same for tolerances above `ROUGH_TOLERANCE`, in a thin group and a thick
-one: both halves miss the same between the points of their lattices. Measured against path-traced pixels of three clouds under two
-suns: 0.7 to 1.8, and 1.0 to 2.2 and 1.5 to 2.2. Neither more spread halves of carried light, which are smoothed the more, nor a
-lattice with a third of the points, which is too far from converging, told it better."""
+UNSEEN_ERROR, ROUGH_UNSEEN_ERROR = 1.3, 1.8
+"""Error of a group over what halves and sharpening tell, and the same of a thick one for tolerances above `ROUGH_TOLERANCE`: both halves miss
+the same between the points of their lattices. Measured against path-traced pixels of three clouds under two suns: 0.7 to 1.9, and 1.3 to
+2.3. Neither more spread halves of carried light, which are smoothed the more, nor a lattice with a third of the points, which is too far
+from converging, told it better."""
 
 FEWEST_CARRIED = 18
 """Largest order from which on carrying pays: paths in thin clouds are short anyway."""
@@ -126,7 +126,7 @@ class GroupTask:
     @property
     def unseen_error(self) -> float:
         """Error of the group over what can be told."""
-        return ROUGH_UNSEEN_ERROR[self.thick] if self._rough else UNSEEN_ERROR
+        return ROUGH_UNSEEN_ERROR if self._rough and self.thick else UNSEEN_ERROR
 
     def points(self, effort: Effort) -> int:
         """Source points that an effort gives the group."""

@@ -138,9 +138,10 @@ def test_what_both_halves_miss_is_in_the_errors(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     stated = []
-    factors = group_task.ROUGH_UNSEEN_ERROR
-    for unseen in (factors, (1.0, 1.0)):
-        monkeypatch.setattr(group_task, "ROUGH_UNSEEN_ERROR", unseen)
+    factors = group_task.UNSEEN_ERROR, group_task.ROUGH_UNSEEN_ERROR
+    for unseen, rough in (factors, (1.0, 1.0)):
+        monkeypatch.setattr(group_task, "UNSEEN_ERROR", unseen)
+        monkeypatch.setattr(group_task, "ROUGH_UNSEEN_ERROR", rough)
         stated.append([build([depth], tolerance=0.1, paths=1) for depth in (0.5, 10.0, 30.0)])
     for one, plain, factor in zip(*stated, (factors[0], *factors), strict=True):
         for name in ("standard_error", "image_error", "bright_error"):
