@@ -61,10 +61,10 @@ ROUGH_POINTS, ROUGH_DEGREE, ROUGH_SETS, ROUGH_COARSEST, ROUGH_CELL, ROUGH_STEP =
 """What `CARRIED_POINTS` and the others are then, and the factor on the marching step."""
 
 UNSEEN_ERROR, ROUGH_UNSEEN_ERROR = 1.3, 1.8
-"""Error of a group over what halves and sharpening tell, and the same of a thick one for tolerances above `ROUGH_TOLERANCE`: both halves miss
-the same between the points of their lattices. Measured against path-traced pixels of three clouds under two suns: 0.7 to 1.9, and 1.3 to
-2.3. Neither more spread halves of carried light, which are smoothed the more, nor a lattice with a third of the points, which is too far
-from converging, told it better."""
+"""Error of a group over what halves and sharpening tell, and the same of a thick one for tolerances above `ROUGH_TOLERANCE`: both halves
+miss the same between the points of their lattices. Measured against path-traced pixels of three clouds under two suns: 0.7 to 1.9, and
+1.3 to 2.3. Neither more spread halves of carried light, which are smoothed the more, nor a lattice with a third of the points, which is
+too far from converging, told it better."""
 
 FEWEST_CARRIED = 18
 """Largest order from which on carrying pays: paths in thin clouds are short anyway."""

@@ -134,9 +134,7 @@ def test_orders_that_are_carried_in_thick_groups_leave_none_out() -> None:
     assert (thick.report.largest_order, thick.report.omitted_share) == (258, 0.0)
 
 
-def test_what_both_halves_miss_is_in_the_errors(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_both_halves_miss_is_in_the_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     stated = []
     factors = group_task.UNSEEN_ERROR, group_task.ROUGH_UNSEEN_ERROR
     for unseen, rough in (factors, (1.0, 1.0)):
