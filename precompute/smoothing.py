@@ -9,7 +9,7 @@ paths (Rousselle, Knaus & Zwicker 2012, "Adaptive rendering with non-local means
     noise^2 = mean (A' - B')^2 / 4,        bias^2 = mean (A' - A)(B' - B),
 
 the noise of A and B drops out of the second on average since they have none in common. With few paths it still hides a bias of a per
-cent: where it does, the change from the first level instead of from nothing tells, which is 30 times as quiet (`bias_of`). The level with
+cent: where it does, the change from the first level instead of from none tells it, which is far quieter (`bias_of`). The level with
 the smallest sum is taken.
 What is smoothed is not the source itself but its difference from a model, see `source_model`, which each half fits for itself.
 """
@@ -33,9 +33,6 @@ LEVELS = 3
 
 VARIANCES = (0.0, 1.0, 5.0, 21.0, math.inf)
 """Of the averages of each level, in squared spacings; the last is the model alone. What an average changes in smooth light goes with it."""
-
-UNCERTAIN = 0.4
-"""Of a bias that is told by the change from the first level: light is not that smooth everywhere."""
 
 
 Taps = tuple[tuple[Tensor, Tensor], ...]
@@ -131,23 +128,17 @@ class LevelErrors:
 def bias_of(change: Tensor, steady: Tensor) -> Tensor:
     """Mean square of what smoothing changed `(...)`, told from the changes of both halves.
 
-    The mean of their product is the weighted mean of two: that of the changes themselves, which is right on average, and that of the
-    steady ones, which is quieter and wrong by a share. Weights are the inverse squares of their errors.
+    The mean of their product is right on average. That of the steady changes is quieter, and too small where light is rough; it is taken as
+    far as it lies within a deviation above the other one and two below: neighbouring pixels see the same points.
 
     Args:
         change: from the raw images `(pixel, half, ...)`.
         steady: the same told otherwise, see `steady_changes`.
     """
-    (exact, of_exact), (quiet, of_quiet) = _mean_product(change), _mean_product(steady)
-    of_quiet = of_quiet + (UNCERTAIN * quiet).square()
-    weight = torch.where(of_exact > 0.0, of_quiet / (of_exact + of_quiet).clamp(min=1e-300), 1.0)
-    return weight * exact + (1.0 - weight) * quiet
-
-
-def _mean_product(change: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean product of both halves over the pixels, and the variance that their noise gives it, were it Gaussian."""
-    difference = change[:, 0] - change[:, 1]
-    return (change[:, 0] * change[:, 1]).mean(0), difference.pow(4).mean(0) / (12.0 * len(change))
+    products = change[:, 0] * change[:, 1]
+    exact, quiet = products.mean(0), (steady[:, 0] * steady[:, 1]).mean(0)
+    deviation = ((products - exact).square().mean(0) / len(products)).sqrt()
+    return torch.minimum(torch.maximum(quiet, exact - 2.0 * deviation), exact + deviation)
 
 
 def steady_changes(images: list[Tensor]) -> list[Tensor]:
