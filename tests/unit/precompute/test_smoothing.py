@@ -145,9 +145,10 @@ def test_noisier_images_are_smoothed_more() -> None:
 
 
 def test_a_sharp_edge_without_noise_is_left_alone() -> None:
-    errors = measure_levels(levels_of(edge_image(64, 0.0)))
+    # As many pixels as a probe has rays.
+    errors = measure_levels(levels_of(edge_image(64, 0.0).repeat(64, 1)))
     assert float(errors.total[0]) == 0.0
-    assert (errors.total[1:] > 5e-5).all()
+    assert (errors.total[1:] > 1e-3).all()
     assert (errors.bias.diff() > 0.0).all()
 
 

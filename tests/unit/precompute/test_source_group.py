@@ -141,6 +141,7 @@ def test_what_both_halves_miss_is_in_the_errors(monkeypatch: pytest.MonkeyPatch)
         monkeypatch.setattr(group_task, "UNSEEN_ERROR", unseen)
         monkeypatch.setattr(group_task, "ROUGH_UNSEEN_ERROR", rough)
         stated.append([build([depth], tolerance=0.1, paths=1) for depth in (0.5, 10.0, 30.0)])
+    assert [one.report.carried_points > 0 for one in stated[0]] == [False, True, True]
     for one, plain, factor in zip(*stated, (factors[0], *factors), strict=True):
         for name in ("standard_error", "image_error", "bright_error"):
             torch.testing.assert_close(getattr(one, name), factor * getattr(plain, name))
