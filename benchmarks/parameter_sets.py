@@ -28,9 +28,8 @@ SETS_SEED, PIXELS_SEED, REFERENCE_SEED = 7, 11, 100
 
 SEEDS_A_ROUND = 1000
 
-THIN_DEPTH, FINER, LONGER = 2.0, 4.0, 4
-"""Largest optical depth below which references shall have so many times less noise, within so many times the rounds: paths in thin clouds
-are cheap, and errors as small as the noise of the others would only seem to be known."""
+THIN_DEPTH, LONGER = 2.0, 4
+"""Largest optical depth below which references may take so many times the rounds: paths in thin clouds are cheap, and few scatter."""
 
 KNOWN_WITHIN = 0.2
 """Deviation over an error up to which it counts as known."""
@@ -51,9 +50,9 @@ class ParameterSet:
         return replace(self, asymmetry=float(asymmetry[row]), optical_depth=float(optical_depth[column]))
 
 
-def draw_sets(count: int) -> list[ParameterSet]:
+def draw_sets(count: int, seed: int = SETS_SEED) -> list[ParameterSet]:
     """Random sets: asymmetry and albedo uniform, optical depth uniform in its logarithm."""
-    generator = torch.Generator().manual_seed(SETS_SEED)
+    generator = torch.Generator().manual_seed(seed)
     return [_place(values) for values in torch.rand(count, 3, generator=generator, dtype=torch.float64).tolist()]
 
 
@@ -119,8 +118,8 @@ class TracedPixels:
         pixels: how many.
         paths: of one round over all pixels.
         folder: of the references, or None.
-        noise: relative RMS at which no further round is traced, but see `THIN_DEPTH`.
-        rounds: at most.
+        noise: relative RMS at which no further round is traced.
+        rounds: at most, but see `THIN_DEPTH`.
     """
 
     grid: DensityGrid
@@ -155,14 +154,13 @@ class TracedPixels:
         shuffled = torch.randperm(len(seen), generator=torch.Generator().manual_seed(PIXELS_SEED))
         pixels = seen[shuffled[: self.pixels]].sort().values
         samples = max(2, self.paths // len(pixels))
-        thin = one.optical_depth < THIN_DEPTH
-        noise, rounds = (self.noise / FINER, self.rounds * LONGER) if thin else (self.noise, self.rounds)
+        rounds = self.rounds * (LONGER if one.optical_depth < THIN_DEPTH else 1)
         question = {
             "grid": self.grid.density,
             "camera": self.camera,
             "sun": self.sun,
             "pixels": pixels,
-            "values": (one.asymmetry, one.optical_depth, one.albedo, samples, number, noise, rounds),
+            "values": (one.asymmetry, one.optical_depth, one.albedo, samples, number, self.noise, rounds),
         }
         file = None if self.folder is None else self.folder / f"reference-{table_key(question)[:16]}.npz"
         if file is not None and file.exists():
@@ -187,7 +185,7 @@ class TracedPixels:
             variances.append(image.radiance_variance[pixels].double())
             radiance = torch.stack(means).mean(0)
             variance = torch.stack(variances).mean(0) / len(means)
-            if float((variance.mean() / radiance.square().mean()).sqrt()) <= noise:
+            if float((variance.mean() / radiance.square().mean()).sqrt()) <= self.noise:
                 break
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)

@@ -74,7 +74,7 @@ QUALITIES: dict[str, Quality] = {
     ),
     "standard": Quality(
         0.5,
-        Effort(258, 100_000, 3_900_000, 16, True, 0.02),
+        Effort(258, 100_000, 4_600_000, 16, True, 0.02),
         Effort(258, 150_000, 3_000_000, 16, True, 0.02),
         11,
         0.42,

@@ -109,12 +109,14 @@ class CarriedOrders:
         source: J of each half, sharpened, `(extinction, point, knot, asymmetry)` [1/sr], for unit sunlight and albedo one.
         features: of each half, J of the orders two to four at some asymmetries, sharpened, `(extinction, point, feature)`: too rough to be
             taken for the orders that are traced, but nearly without noise.
+        overlap: of each half, J of the order four, which paths trace at every asymmetry, sharpened `(extinction, point, asymmetry)` [1/sr].
     """
 
     lattices: CarryingLattices
     degree: int
     source: tuple[Tensor, Tensor]
     features: tuple[Tensor, Tensor]
+    overlap: tuple[Tensor, Tensor]
 
     @property
     def points(self) -> int:
@@ -130,7 +132,14 @@ class CarriedOrders:
 
     def features_at(self, node: int, position: Tensor) -> Tensor:
         """Features at positions `(position, 3)` [m] at one extinction, means of both halves `(position, feature)`."""
-        first, second = zip(self.lattices, self.features, strict=True)
+        return self._mean_at(self.features, node, position)
+
+    def overlap_at(self, node: int, position: Tensor) -> Tensor:
+        """The overlap at positions `(position, 3)` [m] at one extinction, mean of both halves `(position, asymmetry)`."""
+        return self._mean_at(self.overlap, node, position)
+
+    def _mean_at(self, halves: tuple[Tensor, Tensor], node: int, position: Tensor) -> Tensor:
+        first, second = zip(self.lattices, halves, strict=True)
         return 0.5 * (first[0].interpolate(first[1][node], position) + second[0].interpolate(second[1][node], position))
 
 
@@ -208,19 +217,19 @@ def carry_orders(
 
     flights = map_in_threads(draw, 2 * count, lambda done: on_progress(0.3 * done / (2 * count)))
 
-    def carry(piece: int) -> tuple[Tensor, Tensor]:
+    def carry(piece: int) -> tuple[Tensor, Tensor, Tensor]:
         node, half = divmod(piece, 2)
         turns = [_Turn(sets[half][turn], flights[half * count + turn][node]) for turn in range(count)]
         lattice = lattices[half]
         carrier = _Carrier(view, lattice, float(extinction[node]), step, turns)
-        source, low = carrier.carry(asymmetry, plan)
-        return lattice.sharpen(source.flatten(1)).view_as(source), lattice.sharpen(low)
+        source, low, overlap = carrier.carry(asymmetry, plan)
+        return lattice.sharpen(source.flatten(1)).view_as(source), lattice.sharpen(low), lattice.sharpen(overlap)
 
     nodes = len(extinction)
     pieces = map_in_threads(carry, 2 * nodes, lambda done: on_progress(0.3 + 0.35 * done / nodes))
     halves = [[torch.stack(ones) for ones in zip(*pieces[half::2], strict=True)] for half in range(2)]
-    source, features = zip(*halves, strict=True)
-    return CarriedOrders(lattices, degree, source, features)
+    source, features, overlap = zip(*halves, strict=True)
+    return CarriedOrders(lattices, degree, source, features, overlap)
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,8 +253,8 @@ class _Carrier:
         self._view, self._lattice, self._extinction, self._step = view, lattice, extinction, step
         self._turns = turns
 
-    def carry(self, asymmetry: Tensor, plan: OrderPlan) -> tuple[Tensor, Tensor]:
-        """J of the orders beyond those traced `(point, knot, asymmetry)`, and features from those below, see `CarriedOrders`."""
+    def carry(self, asymmetry: Tensor, plan: OrderPlan) -> tuple[Tensor, Tensor, Tensor]:
+        """J of the orders beyond those traced `(point, knot, asymmetry)`; features and overlap from those below, see `CarriedOrders`."""
         degree, view, position = self._turns[0].directions.degree, self._view, self._lattice.positions
         traced = last_traced_orders(asymmetry, degree)
         carried = carried_asymmetries(asymmetry)
@@ -270,6 +279,7 @@ class _Carrier:
                 towards_camera.addcmul_(one, harmonic[:, None])
             if order <= SEPARATE_ORDERS:
                 low.append(towards_camera[:, ::FEATURE_STRIDE].clone())
+                overlap = towards_camera @ between
             history = [*history[1 - HISTORY :], towards_camera.clone()]
             energy.append(towards_camera.mean(0, dtype=torch.float64).abs())
             shares = plan.shares[order - 2].float()[:, None] * (order > traced)
@@ -284,7 +294,7 @@ class _Carrier:
             del light, space  # as much memory as the rest needs
             # Faint light is noise of either sign, from which nothing follows.
             self._extend(found, history, between * ~faint[:, None], traced, last, plan)
-        return found.movedim(0, 1).contiguous(), torch.cat(low, dim=1)
+        return found.movedim(0, 1).contiguous(), torch.cat(low, dim=1), overlap
 
     @staticmethod
     def _extend(

@@ -29,6 +29,9 @@ GROUP_EDGES = (2.0, 20.0, 64.0, 128.0)
 FEWEST_PATHS = 6
 """Of a group for each of the effort's source points, where a tolerance is asked for: halves of fewer hardly tell what smoothing changes."""
 
+SCATTERED_DEPTH = 5.0
+"""Largest optical depth beyond which nodes weigh about the same: thinner ones scatter less light more than once."""
+
 DEEP_WEIGHT = 2.0
 """Of nodes beyond the last of them, where no lattice is fine enough to carry light and paths go on to the last order."""
 
@@ -118,7 +121,7 @@ def _split_groups(optical_depth: Tensor) -> list[slice]:
 
 def _path_shares(optical_depth: Tensor, groups: list[slice]) -> list[float]:
     """Share of the paths for each group: by its number of nodes, how much light is scattered more than once, and how far it is followed."""
-    weight = -torch.expm1(-optical_depth.double() / 10.0)
+    weight = -torch.expm1(-optical_depth.double() / SCATTERED_DEPTH)
     weight = torch.where(optical_depth > GROUP_EDGES[-1], DEEP_WEIGHT * weight, weight)
     weights = [float(weight[group].sum()) for group in groups]
     return [weight / sum(weights) for weight in weights]

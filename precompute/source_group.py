@@ -26,7 +26,7 @@ from precompute.gather import Lattice, Strata, gather_bags
 from precompute.group_task import GroupTask
 from precompute.heap import trim_heap
 from precompute.light_lattice import number_points
-from precompute.order_plan import OrderPlan
+from precompute.order_plan import SEPARATE_ORDERS, OrderPlan
 from precompute.pilot import Pilot, fly_pilot
 from precompute.single_scattering import compute_single_scattering
 from precompute.smoothing import find_neighbours
@@ -37,6 +37,9 @@ from render.phase_functions import evaluate_phase_function
 
 DARKEST = 0.2
 """Light at a point over its mean that paths are spent for at least."""
+
+MATCHES = (0.5, 2.0)
+"""Bounds of the factor on carried light: beyond them the paths are too few to tell it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +193,8 @@ class _Smoother:
             if self._carried is not None:
                 position = table.lattice.positions(table.numbers)
                 source = self._carried.at(node, position)
+                if self._task.thick:
+                    source *= self._match(self._carried, node, of_paths, position)
                 if features.shape[1] > 1:
                     features = torch.cat([features, self._carried.features_at(node, position)], dim=1)
                 source[:, :, : of_paths.shape[2]] += of_paths
@@ -197,6 +202,22 @@ class _Smoother:
             smooth = self._probe.smooth(node, source, neighbours, model, self._points, self._task.thick)
             yield replace(smooth, errors=smooth.errors.times(self._task.unseen_error))
             trim_heap()
+
+    def _match(self, carried: CarriedOrders, node: int, of_paths: Tensor, position: Tensor) -> Tensor:
+        """Factor on carried light that lets it agree with the paths in the order four, which both know `(asymmetry,)`.
+
+        Least squares over the pixels, as far as both halves of the paths say the same: what the lattice of carried light misses of
+        that order in a thick cloud it misses of the next ones too. Where a forward lobe is not yet round at that order, and so does
+        not show in harmonics, the factor is one.
+        """
+        round_by_then = last_traced_orders(self._task.asymmetry, carried.degree) == SEPARATE_ORDERS
+        overlap = carried.overlap_at(node, position)[:, None].expand(-1, 2, -1)
+        traced = of_paths[:, :, self._table.plan.knots.index(SEPARATE_ORDERS)]
+        told, found = (self._probe.gather(node, one.contiguous()).double() for one in (overlap, traced))
+        missing = (told * (found - told)).sum(0) / told.square().sum(0).clamp(min=1e-300)
+        mean = missing.mean(0)
+        agreement = (missing.prod(0) / mean.square().clamp(min=1e-300)).clamp(0.0, 1.0)
+        return torch.where(round_by_then, (1.0 + agreement * mean).clamp(*MATCHES).float(), 1.0)
 
 
 _Images = tuple[Tensor, list[ImageErrors]]

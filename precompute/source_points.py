@@ -55,14 +55,14 @@ def place_points(view: View, strata: Strata, points: int) -> tuple[Lattice, Tens
     """Lattice as fine as the number of points allows, and the importance of each of its points: summed squared weights."""
     finest = max(THICK_SPACING, (view.grid.density.numel() / LARGEST_LATTICE) ** (1.0 / 3.0))
     stretch = max(finest, 1.0)
-    for _ in range(3):
+    for _ in range(4):
         lattice = lattice_over(view.grid, stretch)
         importance = torch.zeros(lattice.size, dtype=torch.float64)
         for bags in gather_bags(lattice, view.origin, view.direction, strata):
             importance.index_add_(0, bags.numbers.flatten(), bags.weights.flatten().double().square())
         used = int((importance > 0).sum())
         wanted = max(finest, stretch * (used / points) ** 0.4)
-        if 0.8 < wanted / stretch < 1.25:
+        if 0.96 < wanted / stretch < 1.04:
             break
         stretch = wanted
     return lattice, importance

@@ -15,7 +15,7 @@ from render.density_grid import DensityGrid
 from render.errors import StoreError
 from render.scattering_stack import ScatteringTables
 
-STACK_VERSION = 17
+STACK_VERSION = 18
 """Raised whenever the numbers that the same arguments give change; older files are then built anew."""
 
 

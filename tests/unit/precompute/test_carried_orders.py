@@ -84,6 +84,13 @@ def test_a_lattice_that_does_not_resolve_free_paths_is_none() -> None:
     assert resolving_lattices(grid, 3.6, replace(EFFORT, points=10_000, deepest_cell=10.0)) is not None
 
 
+def test_the_overlap_is_the_fourth_order() -> None:
+    found = carry(noise_box(8))
+    # Features are the orders two to four at every second asymmetry.
+    for overlap, features in zip(found.overlap, found.features, strict=True):
+        assert torch.allclose(overlap[..., :: carried_orders.FEATURE_STRIDE], features[..., -2:], rtol=1e-5)
+
+
 def test_eight_asymmetries_are_carried_those_of_narrow_lobes_first() -> None:
     few, many = torch.linspace(-0.2, 0.9, 8), torch.linspace(0.0, 0.9, 11)
     assert carried_asymmetries(few) is few

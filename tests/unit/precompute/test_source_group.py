@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from precompute import group_task, source_group
+from precompute.carried_orders import CarriedOrders
 from precompute.error_budget import ALBEDOS, OMITTED_SHARE, Effort, StopReason, box_error
 from precompute.group_task import LARGEST_STEP, SMALLEST_STEP, THIN_POINTS, THINNEST_ANCHOR, GroupTask
 from precompute.light_lattice import LightLattice
@@ -301,3 +302,23 @@ def test_only_thick_groups_are_sharpened_and_have_all_points(
     assert (1e-3 < float(change.max()) < 0.1) is thick
     assert (float(change.max()) == 0.0) is not thick
     assert task([depth]).points(EFFORT) == (EFFORT.points if thick else round(THIN_POINTS * EFFORT.points))
+
+
+def test_carried_light_agrees_with_paths_in_the_last_image_that_both_know(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Carried light that is a fifth too dark, in what paths know as well as beyond, is as bright as ever in the images."""
+    right = build([30.0], orders=258)
+    carry = group_task.carry_orders
+
+    def carry_too_little(*arguments: object) -> CarriedOrders:
+        carried = carry(*arguments)  # type: ignore[arg-type]
+        source, overlap = (tuple(0.8 * half for half in halves) for halves in (carried.source, carried.overlap))
+        return dataclasses.replace(carried, source=source, overlap=overlap)
+
+    monkeypatch.setattr(group_task, "carry_orders", carry_too_little)
+    dark = build([30.0], orders=258)
+    assert right.report.carried_points > 0
+    assert torch.allclose(dark.multiple.mean(-1), right.multiple.mean(-1), rtol=0.02)
+    monkeypatch.setattr(source_group, "MATCHES", (1.0, 1.0))
+    unmatched = build([30.0], orders=258)
+    high = slice(3, None)
+    assert (unmatched.multiple[high].mean(-1) < 0.9 * right.multiple[high].mean(-1)).all()
