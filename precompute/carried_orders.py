@@ -279,6 +279,7 @@ class _Carrier:
                 towards_camera.addcmul_(one, harmonic[:, None])
             if order <= SEPARATE_ORDERS:
                 low.append(towards_camera[:, ::FEATURE_STRIDE].clone())
+            if order == SEPARATE_ORDERS:
                 overlap = towards_camera @ between
             history = [*history[1 - HISTORY :], towards_camera.clone()]
             energy.append(towards_camera.mean(0, dtype=torch.float64).abs())
